@@ -22,8 +22,10 @@ from servotrack.baselines.papers.boxes import (
     Assumption,
     Effect,
     Point,
+    Reading,
     Rule,
     Verdict,
+    check_readings,
     judge_all,
     judge_box,
     read_assumptions,
@@ -33,7 +35,7 @@ from servotrack.baselines.reporting.files import ResultsError, atomic_path, read
 from servotrack.baselines.reporting.grid import Grid
 from servotrack.estimators.types import Array
 
-Whose = Literal["paper", "project"]
+Whose = Literal["paper", "literature", "project"]
 SHIPPED = Path(__file__).with_name("claims.yaml")
 SIGNS: Mapping[Verdict, str] = {"holds": "+", "does not hold": "−", "no difference": "=", "open": "?"}
 """Signs of the verdicts in the table of a box."""
@@ -51,7 +53,8 @@ class Claim:
     Attributes:
         id: Unique name.
         paper: Name of the paper: its folder and the argument of `servotrack reproduce`.
-        whose: "paper" if the paper claims it, "project" if it is a question of this project about the paper.
+        whose: "paper" if the paper claims it of its own work, "literature" if it repeats what is known or said of other
+            work, "project" if it is a question of this project about the paper.
         source: Section, equation, table or figure of the paper.
         claim: Statement.
         open: Names of the assumptions that the paper leaves open and that matter here, as in assumptions.yaml. Those
@@ -65,6 +68,8 @@ class Claim:
         finding: Reason in one sentence: structure, information or tuning.
         command: Command that shows it.
         least_runs: Smallest number of runs; with fewer the verdict is open.
+        listed_by: Readings of the paper that listed it; empty for the project's questions, and if it was not recorded.
+        mended: What the second reading changed in the row of the first: place, wording or condition.
     """
 
     id: str
@@ -81,11 +86,20 @@ class Claim:
     finding: str | None = None
     command: str | None = None
     least_runs: int = LEAST_RUNS
+    listed_by: tuple[Reading, ...] = ()
+    mended: str | None = None
 
     def __post_init__(self) -> None:
         """Check the row. A ValueError names the claim and what to repair."""
         if self.whose not in get_args(Whose):
-            raise ValueError(f"whose of claim {self.id!r} must be paper or project, got {self.whose!r}")
+            raise ValueError(
+                f"whose of claim {self.id!r} must be one of {', '.join(get_args(Whose))}, got {self.whose!r}"
+            )
+        check_readings(self.listed_by, f"claim {self.id!r}")
+        if self.listed_by and self.whose == "project":
+            raise ValueError(f"claim {self.id!r} is a question of the project: leave listed_by out")
+        if self.mended and self.listed_by == ("second",):
+            raise ValueError(f"claim {self.id!r} is not a row of the first reading: leave mended out")
         if self.verdict not in get_args(Verdict):
             raise ValueError(
                 f"verdict of claim {self.id!r} must be one of {', '.join(get_args(Verdict))}, got {self.verdict!r}"
@@ -196,6 +210,7 @@ def _claim(row: Mapping[str, Any]) -> Claim:
         **{
             **row,
             "open": tuple(row.get("open", ())),
+            "listed_by": tuple(row.get("listed_by", ())),
             "depends_on": tuple(row.get("depends_on", ())),
             "effects": tuple(Effect(**effect) for effect in row.get("effects", ())),
             "holds_if": None if rule is None else Rule(**rule),

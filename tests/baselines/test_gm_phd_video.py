@@ -14,9 +14,9 @@ from scipy.stats import spearmanr
 from servotrack.baselines.agents.people.catalog import create_detector
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers import reproduce, sequences, transfer
-from servotrack.baselines.papers.boxes import Effect
+from servotrack.baselines.papers.boxes import Effect, Rule, summarize_box
 from servotrack.baselines.papers.claims import fill, read_claims
-from servotrack.baselines.papers.gm_phd_video import box, experiment, report
+from servotrack.baselines.papers.gm_phd_video import alternatives, box, events, experiment, report
 from servotrack.baselines.papers.gm_phd_video.experiment import Method, Outcome, count_right, run_methods
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts
 from servotrack.baselines.papers.request import Recording
@@ -53,20 +53,28 @@ def test_the_rendered_sequence_tells_the_truth_of_the_frames_it_gave() -> None:
     assert person.steps[0] >= 49 and person.steps[-1] == 59
 
 
-def invented_box(right: dict[str, float], sequences_of_box: int = 12) -> box.VideoBox:
-    """A box in which every tracker counts as well in all sequences, with little differences between them."""
+def invented_box(right: dict[str, float], sequences_of_box: int = 12, one_merge: float = 1.0) -> box.VideoBox:
+    """A box in which every tracker counts as well in all sequences, with little differences between them.
+
+    Where two who merge are one target, every tracker handles the share `one_merge` of the merges.
+    """
     rng = np.random.default_rng(1)
     rows = []
     for _ in range(sequences_of_box):
         row: dict[str, Any] = {"happened": np.array([5.0, 1.0, 1.0, 4.0])}
         for name in box._trackers((384, 288)):
             kind = name.split("/")[0]
-            row |= {
-                f"{name}|right": right.get(kind, 0.9) + 0.001 * rng.standard_normal(),
-                f"{name}|handled": np.array([5.0, 1.0, 1.0, 4.0]),
-                f"{name}|seconds": 1e-3 * (10.0 if name == box.PARTICLES else 1.0) * rng.uniform(0.9, 1.1),
-                f"{name}|near": 0.7,
-            }
+            kept = name.endswith(box.UNPRUNED)
+            slow = 10.0 if name == box.PARTICLES or kept else 1.0
+            row[f"{name}|seconds"] = 1e-3 * slow * rng.uniform(0.9, 1.1)
+            for merged in (box.TWO, box.ONE):
+                row |= {
+                    f"{name}|right|{merged}": right.get(kind, 0.9) + 0.001 * rng.standard_normal(),
+                    f"{name}|extra|{merged}": 0.1 * kept + 0.001 * rng.standard_normal(),
+                    f"{name}|handled|{merged}": np.array([5.0, 1.0, 1.0, 4.0])
+                    * ([1.0, one_merge, 1.0, 1.0] if merged == box.ONE else 1.0),
+                    f"{name}|near|{merged}": 0.7,
+                }
         rows.append(row)
     made = box.VideoBox.__new__(box.VideoBox)
     made._rows = rows
@@ -81,9 +89,9 @@ def test_claims_follow_the_measurements() -> None:
         noise = 0.01 * rng.standard_normal(12)
         rest = [np.full(12, 0.9)] * 3
         happened = np.tile([5.0, 1.0, 1.0, 4.0], (12, 1))
-        events = happened * [1.0, merges, 1.0, 1.0]
+        good = happened * [1.0, merges, 1.0, 1.0]
         times = [np.full(12, 1e-3)] * 2
-        return report.Measured(right + noise, *rest, switches + noise, *times, events, happened)
+        return report.Measured(right + noise, *rest, switches + noise, *times, good, happened)
 
     def verdicts(measures: dict[str, report.Measured], **right: float) -> dict[str, str]:
         found = report.findings(measures, invented_box(right), slopes)
@@ -94,8 +102,11 @@ def test_claims_follow_the_measurements() -> None:
     first = verdicts(found, unmasked=0.8)
     assert first["phd-video-count"] == first["phd-video-identity"] == first["phd-video-linear-cost"] == "holds"
     assert first["phd-video-masked-update"] == first["phd-video-errors-at-changes"] == "holds"
+    assert first["phd-video-pruning"] == first["phd-video-after-occlusion"] == first["phd-video-detector"] == "holds"
     # The shipped values lose the merges, the box does not.
     assert first["phd-video-events"] == "depends"
+    points = invented_box({}, one_merge=0.0).events()
+    assert summarize_box("does not hold", points, Rule(above=0.5))[1] == ["merged"]
     # What holds behind one detector and not behind the other depends on the detector.
     assert verdicts(found, printed=0.3)["phd-video-count"] == "depends"
     found[report.PAPER] = measured(0.6, 3.0, merges=1.0)
@@ -110,9 +121,28 @@ def test_claims_follow_the_measurements() -> None:
 
 def test_the_box_of_the_video_runs_every_point_on_one_sequence() -> None:
     arrays = box.play(sequences.rendered(7, script=sequences.SCRIPT, horizon=60))
-    assert {f"{name}|right" for name in box._trackers((384, 288))} <= set(arrays)
-    assert arrays["ours/25/0.05|right"] >= 0.9
+    assert {f"{name}|right|{box.TWO}" for name in box._trackers((384, 288))} <= set(arrays)
+    assert arrays["ours/25/0.05|right|two people"] == arrays["ours/25/0.05|right|one target"] >= 0.9
     assert arrays["happened"].tolist() == [1, 0, 0, 0]
+
+
+def test_people_who_have_merged_are_one_region() -> None:
+    def person(left: np.ndarray) -> Track:
+        size = np.full(40, 20.0)
+        return Track(np.arange(40), np.stack([left, 0.0 * left + 50.0, size, 2.0 * size], axis=1))
+
+    steps = np.arange(40.0)
+    near = np.clip(np.abs(steps - 20.0) - 5.0, 0.0, None) * 4.0
+    truth = [person(100.0 + near), person(100.0 - near), person(300.0 + 0.0 * steps)]
+    numbers = np.full(40, 3)
+    regions = events.regions_of_people(truth, numbers)
+    merge, split = events.find_events(truth, 40)
+    assert (merge.kind, split.kind) == ("merge", "split")
+    assert regions.tolist() == [2 if merge.frame <= k < split.frame else 3 for k in range(40)]
+    # A filter that reports one target while they are one region, and three without identities before and after.
+    found = [Track(np.array([k]), truth[n].states[[k]]) for k in range(40) for n in range(regions[k])]
+    assert events.handled([merge, split], truth, numbers, found, regions) == [False, False]
+    assert events.handled([merge, split], truth, regions, found, regions, identities_kept=False) == [True, True]
 
 
 def test_an_unmasked_background_learns_people_who_stand() -> None:
@@ -120,7 +150,7 @@ def test_an_unmasked_background_learns_people_who_stand() -> None:
     person = empty.copy()
     person[15:45, 30:40] = 220
     masked: Any = create_detector("masked-paper", None, learning_rate=0.2)
-    for detector, expected in ((masked, 1), (box.UnmaskedBackground(masked), 0)):
+    for detector, expected in ((masked, 1), (alternatives.UnmaskedBackground(masked), 0)):
         state = detector.initial(empty)
         for _ in range(40):
             state, found = detector.step(state, person)

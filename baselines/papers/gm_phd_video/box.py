@@ -1,102 +1,48 @@
-"""Box of open assumptions of Wu and Hu (2010), and the alternatives that the paper argues against."""
+"""Box of open assumptions of Wu and Hu (2010)."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 from rich.progress import Progress
 
-from servotrack.baselines.agents.people.catalog import (
-    REFERENCE_AREA,
-    BoxTracker,
-    Detector,
-    create_detector,
-    phd_as_printed,
-)
-from servotrack.baselines.evaluation import seeds
+from servotrack.baselines.agents.people.catalog import BoxTracker, Detector, create_detector, phd_as_printed
 from servotrack.baselines.evaluation.statistics import wilson_interval
 from servotrack.baselines.papers import sequences
 from servotrack.baselines.papers.boxes import Effect, Point, Value, box_points
 from servotrack.baselines.papers.claims import effect_of, mean_effect, paired_effect
-from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled
-from servotrack.baselines.papers.gm_phd_video.experiment import Progressing, count_right
-from servotrack.baselines.papers.parts import Arrays, part, setting_of
-from servotrack.estimators.boxes import BoxSetFilter, RawDetections, centroid_model
-from servotrack.estimators.detect import MaskedBackground
-from servotrack.estimators.detect.background import BackgroundState
-from servotrack.estimators.detect.detections import Detections
-from servotrack.estimators.rfs import Birth, MeasurementBirth, ParticlePHD
+from servotrack.baselines.papers.gm_phd_video.alternatives import (
+    UnmaskedBackground,
+    particle_filter,
+    with_births,
+    without_pruning,
+)
+from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled, regions_of_people
+from servotrack.baselines.papers.gm_phd_video.experiment import COUNTED_FRAMES, Progressing, count_right
+from servotrack.baselines.papers.parts import Arrays, parts_of_seeds
+from servotrack.estimators.boxes import BoxSetFilter, RawDetections
 from servotrack.estimators.types import Array
 
 PAPER_NAME = "gm_phd_video"
-COUNT_AXES = ("detector", "threshold", "birth_weight")
-UPDATE_AXES = ("threshold", "learning_rate")
+RUN_AXES = ("detector", "threshold", "birth_weight")
+"""Assumptions that a run of the filter depends on; `merged` only changes what is right."""
+UPDATE_RUN_AXES = ("threshold", "learning_rate")
+COUNT_AXES, UPDATE_AXES = (*RUN_AXES, "merged"), (*UPDATE_RUN_AXES, "merged")
+DETECTOR_AXES, PRUNING_AXES = ("threshold", "merged"), ("detector", "merged")
+TWO, ONE = "two people", "one target"
+"""What two people are while they are one region, by the names of the assumption `merged`."""
 SEQUENCES = 10
 """Rendered sequences of the box; each gives all its points."""
 DETECTORS = {"printed": "masked-paper", "ours": "masked"}
-UNFILTERED, PARTICLES, MIXTURE = "no filter", "particles", "mixture"
-TIMED = 12
-"""Repetitions of the timing of one step."""
-MEASUREMENTS, TARGETS = (40, 80, 160, 320), (5, 10, 20, 40)
-"""Numbers of measurements, and of targets, of the timing."""
-
-
-@dataclass(frozen=True)
-class UnmaskedBackground:
-    """The paper's detector with a background that also learns under foreground: B' = (1 - a) B + a I.
-
-    Args:
-        masked: Detector with eq. (6), whose other steps are used.
-    """
-
-    masked: MaskedBackground
-
-    def initial(self, frames: ArrayLike) -> BackgroundState:
-        """Return the state before the first frame, as `MaskedBackground.initial` does."""
-        return self.masked.initial(frames)
-
-    def step(
-        self, state: BackgroundState, frame: ArrayLike, dt: float | None = None
-    ) -> tuple[BackgroundState, Detections]:
-        """Detect in a frame, then learn from all of it; arguments as in `MaskedBackground.step`."""
-        after, found = self.masked.step(state, frame, dt)
-        background = state.background.copy()
-        cv2.accumulateWeighted(np.asarray(frame), background, self.masked.learning_rate)
-        rounded = np.clip(np.rint(background), 0.0, 255.0).astype(np.uint8)
-        return after._replace(background=background, rounded=rounded), found
-
-
-def with_births(weight: float) -> BoxSetFilter:
-    """Return the filter of table 1 with births of a weight at unexplained measurements."""
-    return BoxSetFilter(replace(phd_as_printed(), birth=MeasurementBirth(weight, 2.0, weight)))
-
-
-def particle_filter(size: tuple[int, int]) -> BoxSetFilter:
-    """Return a particle PHD filter with the values of table 1; births anywhere in the frame.
-
-    Args:
-        size: Width and height of the frame, px.
-    """
-    width, height = size
-    birth = Birth(
-        np.array([0.05]),
-        np.array([[0.5 * width, 0.0, 0.5 * height, 0.0]]),
-        np.diag([width**2 / 12.0, 4.0, height**2 / 12.0, 4.0]),
-    )
-    model = centroid_model(process_noise=4.0, measurement_noise=2.0)
-    return BoxSetFilter(ParticlePHD(model, birth, 0.01 / REFERENCE_AREA, survival=0.9, detection=0.99))  # type: ignore[arg-type]
+UNFILTERED, UNPRUNED, PARTICLES, MIXTURE = "no filter", "not pruned", "particles", "mixture"
 
 
 def _count_detectors() -> dict[str, Detector]:
     found: dict[str, Detector] = {}
-    for at in box_points(PAPER_NAME, COUNT_AXES):
+    for at in box_points(PAPER_NAME, RUN_AXES):
         name = f"{at['detector']}/{at['threshold']:g}"
         found.setdefault(name, create_detector(DETECTORS[str(at["detector"])], threshold=at["threshold"]))
     return found
@@ -104,7 +50,7 @@ def _count_detectors() -> dict[str, Detector]:
 
 def _update_detectors() -> dict[str, Detector]:
     found: dict[str, Detector] = {}
-    for at in box_points(PAPER_NAME, UPDATE_AXES):
+    for at in box_points(PAPER_NAME, UPDATE_RUN_AXES):
         masked: Any = create_detector(DETECTORS["printed"], None, **at)
         name = f"{at['threshold']:g}/{at['learning_rate']:g}"
         found |= {f"masked/{name}": masked, f"unmasked/{name}": UnmaskedBackground(masked)}
@@ -114,12 +60,14 @@ def _update_detectors() -> dict[str, Detector]:
 def _trackers(size: tuple[int, int]) -> dict[str, tuple[str, BoxTracker]]:
     """Trackers by name, each with the name of its detector."""
     found: dict[str, tuple[str, BoxTracker]] = {}
-    for at in box_points(PAPER_NAME, COUNT_AXES):
+    for at in box_points(PAPER_NAME, RUN_AXES):
         detector = f"{at['detector']}/{at['threshold']:g}"
         found[f"{detector}/{UNFILTERED}"] = (detector, RawDetections())
         found[f"{detector}/{at['birth_weight']:g}"] = (detector, with_births(float(at["birth_weight"])))
     for name in _update_detectors():
         found[name] = (name, BoxSetFilter(phd_as_printed()))
+    for name in DETECTORS:
+        found[f"{name}/25/{UNPRUNED}"] = (f"{name}/25", without_pruning())
     shipped = "ours/25"
     found[MIXTURE] = (shipped, BoxSetFilter(phd_as_printed()))
     found[PARTICLES] = (shipped, particle_filter(size))
@@ -130,8 +78,9 @@ def play(sequence: sequences.Sequence) -> Arrays:
     """Run all detectors and trackers of the box over a sequence.
 
     Returns:
-        By tracker: the share of frames with the right count, the number of events of each kind that it handled, its
-        median time per frame, s. Beside them the events of each kind, and where wrong counts lie.
+        By tracker its median time per frame, s; by tracker and reading of `merged` the share of frames with the right
+        count, the people reported too many per frame, the number of events of each kind that it handled, and where
+        wrong counts lie. Beside them the events of each kind.
     """
     detectors = {**_count_detectors(), **_update_detectors()}
     states: dict[str, Any] = {}
@@ -152,16 +101,23 @@ def play(sequence: sequences.Sequence) -> Arrays:
         if event.kind in ("appear", "disappear"):
             changes[max(event.frame - WINDOW, 0) : event.frame + WINDOW] = True
     arrays: dict[str, Any] = {"happened": np.bincount(kinds, minlength=len(KINDS))}
+    right = {TWO: sequence.numbers, ONE: regions_of_people(sequence.truth, sequence.numbers)}
     for name, run in runs.items():
         outcome = run.outcome(0.0)
-        good = np.array(handled(events, sequence.truth, sequence.numbers, outcome.tracks, outcome.counts), np.bool_)
-        wrong = outcome.counts != sequence.numbers
-        arrays |= {
-            f"{name}|right": count_right(outcome, sequence.numbers),
-            f"{name}|handled": np.bincount(kinds[good], minlength=len(KINDS)),
-            f"{name}|seconds": outcome.filter_seconds,
-            f"{name}|near": float(changes[: len(wrong)][wrong].mean()) if wrong.any() else np.nan,
-        }
+        arrays[f"{name}|seconds"] = outcome.filter_seconds
+        for merged, numbers in right.items():
+            good = np.array(
+                handled(events, sequence.truth, numbers, outcome.tracks, outcome.counts, identities_kept=merged == TWO),
+                np.bool_,
+            )
+            wrong = outcome.counts != numbers
+            extra = np.clip(outcome.counts - numbers, 0, None)[:COUNTED_FRAMES]
+            arrays |= {
+                f"{name}|right|{merged}": count_right(outcome, numbers),
+                f"{name}|extra|{merged}": float(extra.mean()),
+                f"{name}|handled|{merged}": np.bincount(kinds[good], minlength=len(KINDS)),
+                f"{name}|near|{merged}": float(changes[: len(wrong)][wrong].mean()) if wrong.any() else np.nan,
+            }
     return arrays
 
 
@@ -176,22 +132,22 @@ class VideoBox:
 
     def __init__(self, folder: Path, progress: Progress, count: int = SEQUENCES) -> None:
         bar = progress.add_task("box of assumptions", total=count)
-        self._rows = []
-        points = [box_points(PAPER_NAME, axes) for axes in (COUNT_AXES, UPDATE_AXES)]
-        for seed in seeds.take("test", count):
-            setting = setting_of(seed=seed, points=points)
-            self._rows.append(part(folder / f"{seed}.npz", setting, lambda seed=seed: _rendered(seed)))  # type: ignore[misc]
-            progress.advance(bar)
+        points = [box_points(PAPER_NAME, axes) for axes in (COUNT_AXES, UPDATE_AXES, PRUNING_AXES)]
+        self._rows = parts_of_seeds(folder, count, _rendered, lambda: progress.advance(bar), points=points)
 
-    def values(self, tracker: str, field: str) -> Array:
-        """Values of a tracker, one per sequence."""
-        return np.array([row[f"{tracker}|{field}"] for row in self._rows], np.float64)
+    def values(self, tracker: str, field: str, merged: Value = TWO) -> Array:
+        """Values of a tracker, one per sequence, under a reading of `merged`."""
+        return np.array([row[f"{tracker}|{field}|{merged}"] for row in self._rows], np.float64)
+
+    def seconds(self, tracker: str) -> Array:
+        """Median times of a tracker per frame, one per sequence, s."""
+        return np.array([row[f"{tracker}|seconds"] for row in self._rows], np.float64)
 
     def counts(self, reference: float) -> tuple[Point, ...]:
         """Points of "the count is right in more than a share of the frames", %."""
 
         def effect(at: Mapping[str, Value]) -> Effect:
-            right = 100.0 * self.values(_filtered(at), "right")
+            right = 100.0 * self.values(_filtered(at), "right", at["merged"])
             measured = f"count right - {100.0 * reference:.1f}, GM-PHD table 1"
             return paired_effect(right, np.full_like(right, 100.0 * reference), "% of frames", measured)
 
@@ -202,24 +158,58 @@ class VideoBox:
 
         def effect(at: Mapping[str, Value]) -> Effect:
             bare = f"{at['detector']}/{at['threshold']:g}/{UNFILTERED}"
-            filtered, plain = (self.values(name, "right") for name in (_filtered(at), bare))
+            filtered, plain = (self.values(name, "right", at["merged"]) for name in (_filtered(at), bare))
             return paired_effect(filtered, plain, "% of frames", "count right, GM-PHD table 1 - no filter", 100.0)
 
         return tuple(Point(at, (effect(at),)) for at in box_points(PAPER_NAME, COUNT_AXES))
 
     def events(self) -> tuple[Point, ...]:
         """Points of "events of each kind are handled", share of the events, one effect per kind."""
-        happened = np.array([row["happened"] for row in self._rows], np.float64)
         return tuple(
-            Point(at, event_effects(self.values(_filtered(at), "handled"), happened))
+            Point(at, event_effects(self.values(_filtered(at), "handled", at["merged"]), self._happened))
             for at in box_points(PAPER_NAME, COUNT_AXES)
         )
+
+    def after_occlusions(self) -> tuple[Point, ...]:
+        """Points of "people who part are reported again, whatever their identities", share of the splits."""
+        split = KINDS.index("split")
+        return tuple(
+            Point(at, (event_effects(self.values(_filtered(at), "handled", ONE), self._happened)[split],))
+            for at in box_points(PAPER_NAME, RUN_AXES)
+        )
+
+    @property
+    def _happened(self) -> Array:
+        return np.array([row["happened"] for row in self._rows], np.float64)
+
+    def detections(self) -> tuple[Point, ...]:
+        """Points of "the printed detector alone finds the right number", share of the frames."""
+
+        def effect(at: Mapping[str, Value]) -> Effect:
+            found = self.values(f"printed/{at['threshold']:g}/{UNFILTERED}", "right", at["merged"])
+            return mean_effect(found, "of frames", "number of regions right, detector as printed")
+
+        return tuple(Point(at, (effect(at),)) for at in box_points(PAPER_NAME, DETECTOR_AXES))
+
+    def pruning(self) -> tuple[Point, ...]:
+        """Points of "with T = 0.2 a step takes less time and fewer people are reported too many"."""
+
+        def effects(at: Mapping[str, Value]) -> tuple[Effect, ...]:
+            pruned, kept = (f"{at['detector']}/25/{name}" for name in ("0.05", UNPRUNED))
+            times = self.seconds(pruned), self.seconds(kept)
+            extra = (self.values(name, "extra", at["merged"]) for name in (pruned, kept))
+            return (
+                paired_effect(*times, "ms", "filter per frame, T = 0.2 - T = 1e-5", 1e3),
+                paired_effect(*extra, "people", "reported too many per frame, T = 0.2 - T = 1e-5"),
+            )
+
+        return tuple(Point(at, effects(at)) for at in box_points(PAPER_NAME, PRUNING_AXES))
 
     def changes(self) -> tuple[Point, ...]:
         """Points of "wrong counts lie near appearances and disappearances", share of the wrong frames."""
 
         def effect(at: Mapping[str, Value]) -> Effect:
-            near = self.values(_filtered(at), "near")
+            near = self.values(_filtered(at), "near", at["merged"])
             near = near[np.isfinite(near)]
             measured = f"within {WINDOW} frames of an appearance or disappearance, GM-PHD table 1"
             return mean_effect(near, "of wrong frames", measured)
@@ -231,7 +221,7 @@ class VideoBox:
 
         def effect(at: Mapping[str, Value]) -> Effect:
             name = f"{at['threshold']:g}/{at['learning_rate']:g}"
-            masked, unmasked = (self.values(f"{kind}/{name}", "right") for kind in ("masked", "unmasked"))
+            masked, unmasked = (self.values(f"{kind}/{name}", "right", at["merged"]) for kind in ("masked", "unmasked"))
             measured = "count right, masked - unmasked update, detector as printed, GM-PHD table 1"
             return paired_effect(masked, unmasked, "% of frames", measured, 100.0)
 
@@ -239,13 +229,11 @@ class VideoBox:
 
     def particles(self) -> tuple[Effect, ...]:
         """Effects of "the particle filter costs more and counts worse", on the same detections."""
-
-        def compare(first: str, second: str, field: str, unit: str, measured: str, scale: float) -> Effect:
-            return paired_effect(self.values(first, field), self.values(second, field), unit, measured, scale)
-
+        right = (self.values(name, "right") for name in (MIXTURE, PARTICLES))
+        times = (self.seconds(name) for name in (PARTICLES, MIXTURE))
         return (
-            compare(MIXTURE, PARTICLES, "right", "% of frames", "count right, GM-PHD - particle PHD", 100.0),
-            compare(PARTICLES, MIXTURE, "seconds", "ms", "filter per frame, particle PHD - GM-PHD", 1e3),
+            paired_effect(*right, "% of frames", "count right, GM-PHD - particle PHD", 100.0),
+            paired_effect(*times, "ms", "filter per frame, particle PHD - GM-PHD", 1e3),
         )
 
 
@@ -269,44 +257,6 @@ def event_effects(good: Array, happened: Array) -> tuple[Effect, ...]:
         interval = wilson_interval(int(good[:, number].sum()), max(int(happened[:, number].sum()), 1))
         effects.append(effect_of(interval, "of events", kind, int((happened[:, number] > 0).sum()) or 1))
     return tuple(effects)
-
-
-def cost_slopes() -> tuple[Effect, ...]:
-    """Effects of "the cost is linear": slopes of log time over log number of measurements, and of components."""
-    by_measurements = _slopes([(10, number) for number in MEASUREMENTS], MEASUREMENTS)
-    by_targets = _slopes([(number, 10) for number in TARGETS], TARGETS)
-    names = ("measurements, 10 targets", "targets, 10 measurements")
-    return tuple(
-        mean_effect(slopes, "log/log", f"slope of the time of a step over the number of {name}")
-        for slopes, name in zip((by_measurements, by_targets), names, strict=True)
-    )
-
-
-def _slopes(sizes: Sequence[tuple[int, int]], numbers: Sequence[int]) -> list[float]:
-    """Slopes of the log of the least time of a step over the log of `numbers`, in each repetition.
-
-    Args:
-        sizes: Targets and measurements.
-        numbers: Number that grows.
-    """
-    tracker = phd_as_printed(spawn=False)
-    slopes = []
-    for seed in seeds.take("tune", TIMED):
-        rng = np.random.default_rng(seed)
-        least = []
-        for targets, measured in sizes:
-            places = rng.uniform((0.0, 0.0), (380.0, 280.0), (max(targets, measured), 2))
-            state = tracker.initial(places[:targets])
-            for _ in range(4):
-                state, _ = tracker.step(state, places[:targets])
-            times = []
-            for _ in range(30):
-                begin = time.perf_counter()
-                tracker.step(state, places[:measured])
-                times.append(time.perf_counter() - begin)
-            least.append(min(times))
-        slopes.append(float(np.polyfit(np.log(numbers), np.log(least), 1)[0]))
-    return slopes
 
 
 def shipped(points: Sequence[Point], **at: Value) -> tuple[Effect, ...]:

@@ -25,7 +25,7 @@ from servotrack.baselines.papers.claims import (
     ratio_effect,
     read_claims,
 )
-from servotrack.baselines.papers.parts import Arrays, part, setting_of
+from servotrack.baselines.papers.parts import Arrays, part, parts_of_seeds, setting_of
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.papers.unscented_jacobian import experiment
@@ -103,8 +103,13 @@ def reproduce(request: Request) -> None:
 
 def _setting(**values: Any) -> str:
     """Settings that a part's results depend on, in one line."""
+    return setting_of(**_values(**values))
+
+
+def _values(**values: Any) -> dict[str, Any]:
+    """Assumed values and `values`; a world other than the paper's is among them."""
     assumed = (experiment.PROCESS_VARIANCE, experiment.MEASUREMENT_VARIANCE, experiment.INITIAL_VARIANCE)
-    return setting_of(assumed=assumed, gain=experiment.GAIN, probe=experiment.PROBE, **{"world": dict(WORLD), **values})
+    return {"assumed": assumed, "gain": experiment.GAIN, "probe": experiment.PROBE, "world": dict(WORLD), **values}
 
 
 def _runs(env_id: str, runs: int, seed: int, folder: Path, progress: Progress) -> dict[str, list[Run]]:
@@ -165,22 +170,16 @@ def _audit_runs(folder: Path, progress: Progress) -> dict[str, list[float]]:
     methods: dict[str, JacobianEstimator] = {name: experiment.estimator(name) for name in ALGORITHMS}
     methods[FASTER] = experiment.estimator("KF", 10.0)
     methods |= {name: experiment.estimator(name) for name in ("fixed", "KF without J_t")}
-    chosen = seeds.take("test", AUDITED_EPISODES)
-    bar = progress.add_task("random ellipses", total=len(chosen))
-    errors: dict[str, list[float]] = {name: [] for name in methods}
-    for seed in chosen:
-        stored = part(
-            folder / "ellipses" / f"{seed}.npz",
-            _setting(world=RANDOM_ELLIPSES, seed=seed),
-            lambda seed=seed: {  # type: ignore[misc]
-                name: experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES).transient
-                for name, method in methods.items()
-            },
-        )
-        for name, found in errors.items():
-            found.append(float(stored[name]))
-        progress.advance(bar)
-    return errors
+    bar = progress.add_task("random ellipses", total=AUDITED_EPISODES)
+
+    def errors(seed: int) -> Arrays:
+        runs = {name: experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES) for name, method in methods.items()}
+        return {name: run.transient for name, run in runs.items()}
+
+    rows = parts_of_seeds(
+        folder / "ellipses", AUDITED_EPISODES, errors, lambda: progress.advance(bar), **_values(world=RANDOM_ELLIPSES)
+    )
+    return {name: [float(row[name]) for row in rows] for name in methods}
 
 
 def _mean(runs: Sequence[Run], attribute: str) -> float:
