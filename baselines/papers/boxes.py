@@ -192,6 +192,11 @@ class Point(NamedTuple):
     effects: tuple[Effect, ...]
 
 
+def effects_at(points: Sequence[Point], **at: Value) -> tuple[Effect, ...]:
+    """Return the effects of the first point that has the given values."""
+    return next(point.effects for point in points if all(point.at[name] == value for name, value in at.items()))
+
+
 def summarize_box(
     main: Verdict, points: Sequence[Point], rule: Rule, least_runs: int = LEAST_RUNS
 ) -> tuple[dict[str, Any], list[str]]:

@@ -69,7 +69,7 @@ class Claim:
         command: Command that shows it.
         least_runs: Smallest number of runs; with fewer the verdict is open.
         listed_by: Readings of the paper that listed it; empty for the project's questions, and if it was not recorded.
-        mended: What the second reading changed in the row of the first: place, wording or condition.
+        mended: Change by the second reading in a row of the first: place, wording or box.
     """
 
     id: str
@@ -335,6 +335,30 @@ def assumptions_grid(paper: str) -> Grid:
         values = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in open_one.values)
         rows.append([name, open_one.says, f"{values} {open_one.unit}".strip(), str(open_one.shipped)])
     return Grid(["open", "what the paper says", "values run", "in the main tables"], rows, 4)
+
+
+def audited(
+    paper: str, findings: Sequence[Finding], command: str, path: Path | None
+) -> tuple[list[Claim], dict[str, Grid]]:
+    """Fill in a claims file's claims, and return them all with the tables about a paper's.
+
+    Args:
+        paper: Name of the paper.
+        findings: Findings about some of the claims.
+        command: Command that found them.
+        path: Claims file; None for the shipped one.
+
+    Raises:
+        ValueError: A finding has an unknown id.
+        ResultsError: The file is missing or invalid.
+    """
+    claims = fill(read_claims(path or SHIPPED), findings, command)
+    tables = {
+        "What the paper leaves open": assumptions_grid(paper),
+        "Claims": claims_grid([claim for claim in claims if claim.paper == paper or claim.command == command]),
+        **box_grids(claims, findings),
+    }
+    return claims, tables
 
 
 def box_grids(claims: Sequence[Claim], findings: Sequence[Finding]) -> dict[str, Grid]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -257,8 +257,3 @@ def event_effects(good: Array, happened: Array) -> tuple[Effect, ...]:
         interval = wilson_interval(int(good[:, number].sum()), max(int(happened[:, number].sum()), 1))
         effects.append(effect_of(interval, "of events", kind, int((happened[:, number] > 0).sum()) or 1))
     return tuple(effects)
-
-
-def shipped(points: Sequence[Point], **at: Value) -> tuple[Effect, ...]:
-    """Effects of the point with the given values."""
-    return next(point.effects for point in points if all(point.at[name] == value for name, value in at.items()))

@@ -10,21 +10,16 @@ import numpy as np
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.papers import sequences
-from servotrack.baselines.papers.boxes import Effect, Value
+from servotrack.baselines.papers.boxes import Effect, Value, effects_at
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
     SIGNS_NOTE,
     Finding,
-    assumptions_grid,
-    box_grids,
-    claims_grid,
-    fill,
+    audited,
     mean_effect,
     paired_effect,
-    read_claims,
 )
 from servotrack.baselines.papers.gm_phd_video.alternatives import cost_slopes
-from servotrack.baselines.papers.gm_phd_video.box import SEQUENCES, TWO, VideoBox, event_effects, shipped
+from servotrack.baselines.papers.gm_phd_video.box import SEQUENCES, TWO, VideoBox, event_effects
 from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled
 from servotrack.baselines.papers.gm_phd_video.experiment import (
     COUNTED_FRAMES,
@@ -121,17 +116,14 @@ def reproduce(request: Request) -> None:
                 progress.advance(bar)
         pictures = paper_pictures(seeds.take("test", 1)[0], METHODS[PAPER])
     found = findings(measured, box, slopes)
-    claims = fill(read_claims(request.claims or SHIPPED), found, COMMAND)
-    tables["What the paper leaves open"] = assumptions_grid(PAPER_NAME)
-    tables["Claims"] = claims_grid([claim for claim in claims if claim.paper == PAPER_NAME])
-    tables |= box_grids(claims, found)
+    claims, audit = audited(PAPER_NAME, found, COMMAND, request.claims)
     first = played[0]
     shown = {name: first[f"{name}/counts"] for name in SHOWN_COUNTS}
     figures = {
         "figure2": draw_frames(pictures),
         "figure3": draw_counts(first["numbers"], shown, float(first["frame_rate"])),
     }
-    publish(request, tables, claims, f", {request.runs} sequences", NOTE, figures)
+    publish(request, {**tables, **audit}, claims, f", {request.runs} sequences", NOTE, figures)
 
 
 def _played(seed: int) -> Arrays:
@@ -248,24 +240,24 @@ def findings(measured: Mapping[str, Measured], box: VideoBox, slopes: tuple[Effe
             box.events(),
         ),
         Finding(
-            "phd-video-errors-at-changes", shipped(box.changes(), **assumed),
+            "phd-video-errors-at-changes", effects_at(box.changes(), **assumed),
             "Most of the other wrong frames belong to people who meet.", box.changes(),
         ),
         Finding(
-            "phd-video-masked-update", shipped(updates, threshold=25.0, learning_rate=0.02, merged=TWO),
+            "phd-video-masked-update", effects_at(updates, threshold=25.0, learning_rate=0.02, merged=TWO),
             "Structure: the mask keeps people out of the background, and keeps false foreground in the foreground for "
             "good, see docs/video.md.", updates,
         ),
         Finding(
-            "phd-video-detector", shipped(detections, threshold=25.0, merged=TWO),
+            "phd-video-detector", effects_at(detections, threshold=25.0, merged=TWO),
             "Structure: what the mask once called foreground is never learned, so that false regions stay.", detections,
         ),
         Finding(
-            "phd-video-pruning", shipped(pruning, detector="ours", merged=TWO),
+            "phd-video-pruning", effects_at(pruning, detector="ours", merged=TWO),
             "T = 0.2 against T = 1e-5; the threshold of extraction, 0.5, reports neither.", pruning,
         ),
         Finding(
-            "phd-video-after-occlusion", shipped(parted, **run),
+            "phd-video-after-occlusion", effects_at(parted, **run),
             "Judged by the number of people, for the filter has no identities: each is detected and born anew.", parted,
         ),
         Finding(
