@@ -223,10 +223,10 @@ def _check_open(claim: Claim, known: Mapping[str, Assumption]) -> None:
     if unknown:
         raise ValueError(f"open of claim {claim.id!r} must be in assumptions.yaml, got {', '.join(unknown)}")
     varied = {name for name in claim.open if len(known[name].values) > 1}
-    if claim.box is not None and set(claim.box["by"]) != varied:
+    if claim.box is not None and not varied <= set(claim.box["by"]) <= set(claim.open):
         raise ValueError(
-            f"box of claim {claim.id!r} must vary {', '.join(sorted(varied)) or 'nothing'}, got "
-            f"{', '.join(sorted(claim.box['by']))}"
+            f"box of claim {claim.id!r} must vary {', '.join(sorted(varied)) or 'nothing'}, and nothing that is not open, "
+            f"got {', '.join(sorted(claim.box['by']))}"
         )
     if claim.box is None and varied and claim.verdict in ("holds", "does not hold", "no difference"):
         raise ValueError(
