@@ -8,7 +8,7 @@ verdicts are computed from the stored effects; a file in which one is anything e
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -186,15 +186,20 @@ def ratio_effect(first: Sequence[float] | Array, second: Sequence[float] | Array
     return effect_of(np.exp(bootstrap_mean(logarithms)), "times", measured, len(logarithms))
 
 
-def read_claims(path: Path = SHIPPED) -> list[Claim]:
+def read_claims(path: Path = SHIPPED, replaced: Collection[str] = ()) -> list[Claim]:
     """Read the claims of a file.
+
+    Args:
+        path: File.
+        replaced: Claims whose results are about to be replaced. They are read without them, so that results that no
+            longer fit the open assumptions need not be removed by hand.
 
     Raises:
         ResultsError: The file is missing or invalid.
     """
     known = read_assumptions()
     try:
-        claims = [_claim(row) for row in read_strict_yaml(path)]
+        claims = [_claim(row if row["id"] not in replaced else _without_results(row)) for row in read_strict_yaml(path)]
         for claim in claims:
             if not isinstance(claim.id, str):
                 raise TypeError("every id must be a text")
@@ -202,6 +207,11 @@ def read_claims(path: Path = SHIPPED) -> list[Claim]:
     except (TypeError, ValueError, KeyError, AttributeError) as error:
         raise ResultsError(f"{path} is not a valid claims file ({error}); restore it") from error
     return claims
+
+
+def _without_results(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    computed = ("verdict", "depends_on", "effects", "box", "finding", "command")
+    return {key: value for key, value in row.items() if key not in computed}
 
 
 def _claim(row: Mapping[str, Any]) -> Claim:
@@ -225,7 +235,7 @@ def _check_open(claim: Claim, known: Mapping[str, Assumption]) -> None:
     varied = {name for name in claim.open if len(known[name].values) > 1}
     if claim.box is not None and not varied <= set(claim.box["by"]) <= set(claim.open):
         raise ValueError(
-            f"box of claim {claim.id!r} must vary {', '.join(sorted(varied)) or 'nothing'}, and nothing that is not open, "
+            f"box of claim {claim.id!r} must vary {', '.join(sorted(varied)) or 'nothing'}, and only what is open, "
             f"got {', '.join(sorted(claim.box['by']))}"
         )
     if claim.box is None and varied and claim.verdict in ("holds", "does not hold", "no difference"):
@@ -352,7 +362,7 @@ def audited(
         ValueError: A finding has an unknown id.
         ResultsError: The file is missing or invalid.
     """
-    claims = fill(read_claims(path or SHIPPED), findings, command)
+    claims = fill(read_claims(path or SHIPPED, {finding.id for finding in findings}), findings, command)
     tables = {
         "What the paper leaves open": assumptions_grid(paper),
         "Claims": claims_grid([claim for claim in claims if claim.paper == paper or claim.command == command]),

@@ -105,8 +105,6 @@ def test_claims_follow_the_measurements() -> None:
     assert first["phd-video-pruning"] == first["phd-video-after-occlusion"] == first["phd-video-detector"] == "holds"
     # The shipped values lose the merges, the box does not.
     assert first["phd-video-events"] == "depends"
-    points = invented_box({}, one_merge=0.0).events()
-    assert summarize_box("does not hold", points, Rule(above=0.5))[1] == ["merged"]
     # What holds behind one detector and not behind the other depends on the detector.
     assert verdicts(found, printed=0.3)["phd-video-count"] == "depends"
     found[report.PAPER] = measured(0.6, 3.0, merges=1.0)
@@ -117,6 +115,14 @@ def test_claims_follow_the_measurements() -> None:
     rows = {row[0]: row[3:] for row in report.events_grid(found).rows}
     assert rows[report.PAPER] == ["60 of 60", "12 of 12", "12 of 12", "48 of 48"]
     assert rows[report.TUNED] == ["60 of 60", "0 of 12", "12 of 12", "48 of 48"]
+
+
+def test_what_is_right_while_people_are_one_region_can_turn_a_verdict_around(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = invented_box({}, one_merge=0.0)
+    readings = [{"detector": "ours", "threshold": 25.0, "birth_weight": 0.05, "merged": m} for m in (box.TWO, box.ONE)]
+    monkeypatch.setattr(box, "box_points", lambda paper, axes: readings)
+    points = made.events()
+    assert summarize_box("holds", points, Rule(above=0.5))[1] == ["merged"]
 
 
 def test_the_box_of_the_video_runs_every_point_on_one_sequence() -> None:

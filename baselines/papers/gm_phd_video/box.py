@@ -132,7 +132,7 @@ class VideoBox:
 
     def __init__(self, folder: Path, progress: Progress, count: int = SEQUENCES) -> None:
         bar = progress.add_task("box of assumptions", total=count)
-        points = [box_points(PAPER_NAME, axes) for axes in (COUNT_AXES, UPDATE_AXES, PRUNING_AXES)]
+        points = [box_points(PAPER_NAME, axes) for axes in (RUN_AXES, UPDATE_RUN_AXES)]
         self._rows = parts_of_seeds(folder, count, _rendered, lambda: progress.advance(bar), points=points)
 
     def values(self, tracker: str, field: str, merged: Value = TWO) -> Array:

@@ -49,6 +49,7 @@ FOLLOWING_AXES = ("sigma_0", "spread")
 """Assumptions that matter wherever a target is followed."""
 SPREAD = 10.0
 """Standard deviation of the candidates' places in the main tables, px."""
+SPREADS = (SPREAD / 2.0, SPREAD, SPREAD * 2.0)
 BOX_SCENARIOS = ("occlusion", "light")
 """Scenarios about which claims on the update are made; only there alpha is varied."""
 DEFORMED: Mapping[str, Any] = {"turning": 1.0, "tilt": 0.4}
@@ -102,12 +103,13 @@ VARIANTS: dict[str, Method] = {
 """Variants of the paper's tracker with one value changed."""
 BOXED: dict[str, Method] = _boxed()
 FOLLOWING: dict[str, Method] = {
-    deviation_name(at["sigma_0"], at["spread"]): (  # type: ignore[arg-type]
-        "monte-carlo-color", {"distance_deviation": at["sigma_0"], "center_deviation": at["spread"]},
+    deviation_name(float(at["sigma_0"]), spread): (
+        "monte-carlo-color", {"distance_deviation": at["sigma_0"], "center_deviation": spread},
     )
-    for at in box_points("monte_carlo_color", FOLLOWING_AXES)
+    for at in box_points("monte_carlo_color", FOLLOWING_AXES[:1])
+    for spread in SPREADS
 }  # fmt: skip
-"""The paper's tracker at all points of the box where alpha is not varied."""
+"""The paper's tracker with every sigma_0 and spread; alpha is varied only where claims are about the update."""
 METHODS: dict[str, Method] = {**TRACKERS, **SLOW_TRACKERS, **VARIANTS, **BOXED, **FOLLOWING}
 
 

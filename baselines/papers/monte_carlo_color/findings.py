@@ -23,7 +23,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     PLUS,
     SAMPLES,
     SLOW_TRACKERS,
-    SPREAD,
+    SPREADS,
     THRESHOLDS,
     TRACKERS,
     Measures,
@@ -138,12 +138,10 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
 
     def spreads(sigma_0: float) -> tuple[Effect, ...]:
         """Effects of half and of twice the spread on irregular motion, one sigma_0."""
-        chosen, *others = (
-            aucs(found["irregular"][deviation_name(sigma_0, spread)]) for spread in (SPREAD, SPREAD / 2, SPREAD * 2)
-        )
+        half, chosen, twice = (aucs(found["irregular"][deviation_name(sigma_0, spread)]) for spread in SPREADS)
         return tuple(
             better(auc, chosen, f"spread {factor} the chosen - the chosen, irregular")
-            for auc, factor in zip(others, ("half", "twice"), strict=True)
+            for auc, factor in ((half, "half"), (twice, "twice"))
         )
 
     def updates(scenario: str) -> str:
