@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import get_args
 
-from servotrack.baselines.papers.boxes import Assumption, Verdict, read_assumptions
+from servotrack.baselines.papers.boxes import Assumption, Reading, Verdict, read_assumptions
 from servotrack.baselines.papers.claims import SHIPPED, Claim, Whose, read_claims
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.embed import embed
@@ -59,7 +59,7 @@ def verdicts_grid(claims: Sequence[Claim]) -> Grid:
 
 def readings_grid(claims: Sequence[Claim], assumptions: Sequence[Assumption]) -> Grid:
     """Return the number of claims and of open assumptions of each paper that both readings list, or one of them."""
-    kinds = (("first", "second"), ("first",), ("second",))
+    kinds: list[tuple[Reading, ...]] = [("first", "second"), ("first",), ("second",)]
     rows: list[list[str]] = []
     for what, listed in (("claims", claims), ("open assumptions", assumptions)):
         read = [(row.paper, row.listed_by) for row in listed if row.listed_by]

@@ -197,7 +197,7 @@ class VideoBox:
         def effects(at: Mapping[str, Value]) -> tuple[Effect, ...]:
             pruned, kept = (f"{at['detector']}/25/{name}" for name in ("0.05", UNPRUNED))
             times = self.seconds(pruned), self.seconds(kept)
-            extra = (self.values(name, "extra", at["merged"]) for name in (pruned, kept))
+            extra = self.values(pruned, "extra", at["merged"]), self.values(kept, "extra", at["merged"])
             return (
                 paired_effect(*times, "ms", "filter per frame, T = 0.2 - T = 1e-5", 1e3),
                 paired_effect(*extra, "people", "reported too many per frame, T = 0.2 - T = 1e-5"),
@@ -229,8 +229,8 @@ class VideoBox:
 
     def particles(self) -> tuple[Effect, ...]:
         """Effects of "the particle filter costs more and counts worse", on the same detections."""
-        right = (self.values(name, "right") for name in (MIXTURE, PARTICLES))
-        times = (self.seconds(name) for name in (PARTICLES, MIXTURE))
+        right = self.values(MIXTURE, "right"), self.values(PARTICLES, "right")
+        times = self.seconds(PARTICLES), self.seconds(MIXTURE)
         return (
             paired_effect(*right, "% of frames", "count right, GM-PHD - particle PHD", 100.0),
             paired_effect(*times, "ms", "filter per frame, particle PHD - GM-PHD", 1e3),

@@ -88,8 +88,8 @@ def regions_of_people(truth: Sequence[Track], numbers: Labels) -> Labels:
     for frame, pairs in enumerate(links):
         if pairs:
             graph = coo_array((np.ones(len(pairs)), tuple(zip(*pairs, strict=True))), shape=(len(truth),) * 2)
-            # Each link between two groups makes them one.
-            regions[frame] -= len(truth) - connected_components(graph, directed=False, return_labels=False)
+            groups, _ = connected_components(graph, directed=False)
+            regions[frame] -= len(truth) - groups
     return regions
 
 
