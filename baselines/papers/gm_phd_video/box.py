@@ -1,4 +1,4 @@
-"""Box of open assumptions of Wu and Hu (2010)."""
+"""Box of the alternatives that Wu and Hu (2010) argue against: another update of the background, particles."""
 
 from __future__ import annotations
 
@@ -13,78 +13,58 @@ from servotrack.baselines.agents.people.catalog import BoxTracker, Detector, cre
 from servotrack.baselines.evaluation.statistics import wilson_interval
 from servotrack.baselines.papers import sequences
 from servotrack.baselines.papers.boxes import Effect, Point, Value, box_points
-from servotrack.baselines.papers.claims import effect_of, mean_effect, paired_effect
-from servotrack.baselines.papers.gm_phd_video.alternatives import (
-    UnmaskedBackground,
-    particle_filter,
-    with_births,
-    without_pruning,
-)
+from servotrack.baselines.papers.claims import effect_of, paired_effect
+from servotrack.baselines.papers.gm_phd_video.alternatives import UnmaskedBackground, particle_filter
 from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled, regions_of_people
 from servotrack.baselines.papers.gm_phd_video.experiment import COUNTED_FRAMES, Progressing, count_right
 from servotrack.baselines.papers.parts import Arrays, parts_of_seeds
-from servotrack.estimators.boxes import BoxSetFilter, RawDetections
+from servotrack.estimators.boxes import BoxSetFilter
 from servotrack.estimators.types import Array
 
 PAPER_NAME = "gm_phd_video"
-RUN_AXES = ("detector", "threshold", "birth_weight")
-"""Assumptions that a run of the filter depends on; `merged` only changes what is right."""
-UPDATE_RUN_AXES = ("threshold", "learning_rate")
-COUNT_AXES, UPDATE_AXES = (*RUN_AXES, "merged"), (*UPDATE_RUN_AXES, "merged")
-DETECTOR_AXES, PRUNING_AXES = ("threshold", "merged"), ("detector", "merged")
+UPDATE_AXES = ("threshold", "learning_rate")
 TWO, ONE = "two people", "one target"
 """What two people are while they are one region, by the names of the assumption `merged`."""
 SEQUENCES = 10
 """Rendered sequences of the box; each gives all its points."""
 DETECTORS = {"printed": "masked-paper", "ours": "masked"}
-UNFILTERED, UNPRUNED, PARTICLES, MIXTURE = "no filter", "not pruned", "particles", "mixture"
-
-
-def _count_detectors() -> dict[str, Detector]:
-    found: dict[str, Detector] = {}
-    for at in box_points(PAPER_NAME, RUN_AXES):
-        name = f"{at['detector']}/{at['threshold']:g}"
-        found.setdefault(name, create_detector(DETECTORS[str(at["detector"])], threshold=at["threshold"]))
-    return found
+OURS, PARTICLES, MIXTURE = "ours", "particles", "mixture"
 
 
 def _update_detectors() -> dict[str, Detector]:
     found: dict[str, Detector] = {}
-    for at in box_points(PAPER_NAME, UPDATE_RUN_AXES):
+    for at in box_points(PAPER_NAME, UPDATE_AXES):
         masked: Any = create_detector(DETECTORS["printed"], None, **at)
         name = f"{at['threshold']:g}/{at['learning_rate']:g}"
         found |= {f"masked/{name}": masked, f"unmasked/{name}": UnmaskedBackground(masked)}
     return found
 
 
-def _trackers(size: tuple[int, int]) -> dict[str, tuple[str, BoxTracker]]:
-    """Trackers by name, each with the name of its detector."""
-    found: dict[str, tuple[str, BoxTracker]] = {}
-    for at in box_points(PAPER_NAME, RUN_AXES):
-        detector = f"{at['detector']}/{at['threshold']:g}"
-        found[f"{detector}/{UNFILTERED}"] = (detector, RawDetections())
-        found[f"{detector}/{at['birth_weight']:g}"] = (detector, with_births(float(at["birth_weight"])))
-    for name in _update_detectors():
-        found[name] = (name, BoxSetFilter(phd_as_printed()))
-    for name in DETECTORS:
-        found[f"{name}/25/{UNPRUNED}"] = (f"{name}/25", without_pruning())
-    shipped = "ours/25"
-    found[MIXTURE] = (shipped, BoxSetFilter(phd_as_printed()))
-    found[PARTICLES] = (shipped, particle_filter(size))
-    return found
+def _alternatives(size: tuple[int, int]) -> tuple[dict[str, Detector], dict[str, tuple[str, BoxTracker]]]:
+    """Detectors by name, and trackers by name, each with the name of its detector."""
+    detectors = _update_detectors()
+    printed = BoxSetFilter(phd_as_printed())
+    trackers: dict[str, tuple[str, BoxTracker]] = {name: (name, printed) for name in detectors}
+    detectors[OURS] = create_detector(DETECTORS["ours"], threshold=25.0)
+    return detectors, {**trackers, MIXTURE: (OURS, printed), PARTICLES: (OURS, particle_filter(size))}
 
 
-def play(sequence: sequences.Sequence) -> Arrays:
-    """Run all detectors and trackers of the box over a sequence.
+def play(
+    sequence: sequences.Sequence, detectors: Mapping[str, Detector], trackers: Mapping[str, tuple[str, BoxTracker]]
+) -> Arrays:
+    """Run detectors and trackers over a sequence.
+
+    Args:
+        sequence: Sequence.
+        detectors: Detectors by name.
+        trackers: Trackers by name, each with the name of its detector.
 
     Returns:
         By tracker its median time per frame, s; by tracker and reading of `merged` the share of frames with the right
         count, the people reported too many per frame, the number of events of each kind that it handled, and where
         wrong counts lie. Beside them the events of each kind.
     """
-    detectors = {**_count_detectors(), **_update_detectors()}
     states: dict[str, Any] = {}
-    trackers = _trackers(sequence.size)
     runs = {name: Progressing(tracker) for name, (_, tracker) in trackers.items()}
     for number, frame in enumerate(sequence.frames):
         found = {}
@@ -121,8 +101,8 @@ def play(sequence: sequences.Sequence) -> Arrays:
     return arrays
 
 
-class VideoBox:
-    """Results at all points, computed or read.
+class AlternativesBox:
+    """Results of the alternatives at all points, computed or read.
 
     Args:
         folder: Folder of the finished parts.
@@ -132,96 +112,18 @@ class VideoBox:
 
     def __init__(self, folder: Path, progress: Progress, count: int = SEQUENCES) -> None:
         bar = progress.add_task("box of assumptions", total=count)
-        points = [box_points(PAPER_NAME, axes) for axes in (RUN_AXES, UPDATE_RUN_AXES)]
+        points = box_points(PAPER_NAME, UPDATE_AXES)
         self._rows = parts_of_seeds(folder, count, _rendered, lambda: progress.advance(bar), points=points)
 
-    def values(self, tracker: str, field: str, merged: Value = TWO) -> Array:
-        """Values of a tracker, one per sequence, under a reading of `merged`."""
-        return np.array([row[f"{tracker}|{field}|{merged}"] for row in self._rows], np.float64)
-
-    def seconds(self, tracker: str) -> Array:
-        """Median times of a tracker per frame, one per sequence, s."""
-        return np.array([row[f"{tracker}|seconds"] for row in self._rows], np.float64)
-
-    def counts(self, reference: float) -> tuple[Point, ...]:
-        """Points of "the count is right in more than a share of the frames", %."""
-
-        def effect(at: Mapping[str, Value]) -> Effect:
-            right = 100.0 * self.values(_filtered(at), "right", at["merged"])
-            measured = f"count right - {100.0 * reference:.1f}, GM-PHD table 1"
-            return paired_effect(right, np.full_like(right, 100.0 * reference), "% of frames", measured)
-
-        return tuple(Point(at, (effect(at),)) for at in box_points(PAPER_NAME, COUNT_AXES))
-
-    def filtering(self) -> tuple[Point, ...]:
-        """Points of "the count is right more often with the filter than without", %."""
-
-        def effect(at: Mapping[str, Value]) -> Effect:
-            bare = f"{at['detector']}/{at['threshold']:g}/{UNFILTERED}"
-            filtered, plain = (self.values(name, "right", at["merged"]) for name in (_filtered(at), bare))
-            return paired_effect(filtered, plain, "% of frames", "count right, GM-PHD table 1 - no filter", 100.0)
-
-        return tuple(Point(at, (effect(at),)) for at in box_points(PAPER_NAME, COUNT_AXES))
-
-    def events(self) -> tuple[Point, ...]:
-        """Points of "events of each kind are handled", share of the events, one effect per kind."""
-        return tuple(
-            Point(at, event_effects(self.values(_filtered(at), "handled", at["merged"]), self._happened))
-            for at in box_points(PAPER_NAME, COUNT_AXES)
-        )
-
-    def after_occlusions(self) -> tuple[Point, ...]:
-        """Points of "people who part are reported again, whatever their identities", share of the splits."""
-        split = KINDS.index("split")
-        return tuple(
-            Point(at, (event_effects(self.values(_filtered(at), "handled", ONE), self._happened)[split],))
-            for at in box_points(PAPER_NAME, RUN_AXES)
-        )
-
-    @property
-    def _happened(self) -> Array:
-        return np.array([row["happened"] for row in self._rows], np.float64)
-
-    def detections(self) -> tuple[Point, ...]:
-        """Points of "the printed detector alone finds the right number", share of the frames."""
-
-        def effect(at: Mapping[str, Value]) -> Effect:
-            found = self.values(f"printed/{at['threshold']:g}/{UNFILTERED}", "right", at["merged"])
-            return mean_effect(found, "of frames", "number of regions right, detector as printed")
-
-        return tuple(Point(at, (effect(at),)) for at in box_points(PAPER_NAME, DETECTOR_AXES))
-
-    def pruning(self) -> tuple[Point, ...]:
-        """Points of "with T = 0.2 a step takes less time and fewer people are reported too many"."""
-
-        def effects(at: Mapping[str, Value]) -> tuple[Effect, ...]:
-            pruned, kept = (f"{at['detector']}/25/{name}" for name in ("0.05", UNPRUNED))
-            times = self.seconds(pruned), self.seconds(kept)
-            extra = self.values(pruned, "extra", at["merged"]), self.values(kept, "extra", at["merged"])
-            return (
-                paired_effect(*times, "ms", "filter per frame, T = 0.2 - T = 1e-5", 1e3),
-                paired_effect(*extra, "people", "reported too many per frame, T = 0.2 - T = 1e-5"),
-            )
-
-        return tuple(Point(at, effects(at)) for at in box_points(PAPER_NAME, PRUNING_AXES))
-
-    def changes(self) -> tuple[Point, ...]:
-        """Points of "wrong counts lie near appearances and disappearances", share of the wrong frames."""
-
-        def effect(at: Mapping[str, Value]) -> Effect:
-            near = self.values(_filtered(at), "near", at["merged"])
-            near = near[np.isfinite(near)]
-            measured = f"within {WINDOW} frames of an appearance or disappearance, GM-PHD table 1"
-            return mean_effect(near, "of wrong frames", measured)
-
-        return tuple(Point(at, (effect(at),)) for at in box_points(PAPER_NAME, COUNT_AXES))
+    def _values(self, tracker: str, field: str) -> Array:
+        return np.array([row[f"{tracker}|{field}"] for row in self._rows], np.float64)
 
     def updates(self) -> tuple[Point, ...]:
         """Points of "the count is right more often with the masked update", %."""
 
         def effect(at: Mapping[str, Value]) -> Effect:
             name = f"{at['threshold']:g}/{at['learning_rate']:g}"
-            masked, unmasked = (self.values(f"{kind}/{name}", "right", at["merged"]) for kind in ("masked", "unmasked"))
+            masked, unmasked = (self._values(f"{kind}/{name}", f"right|{TWO}") for kind in ("masked", "unmasked"))
             measured = "count right, masked - unmasked update, detector as printed, GM-PHD table 1"
             return paired_effect(masked, unmasked, "% of frames", measured, 100.0)
 
@@ -229,20 +131,18 @@ class VideoBox:
 
     def particles(self) -> tuple[Effect, ...]:
         """Effects of "the particle filter costs more and counts worse", on the same detections."""
-        right = self.values(MIXTURE, "right"), self.values(PARTICLES, "right")
-        times = self.seconds(PARTICLES), self.seconds(MIXTURE)
+        right, times = (
+            {name: self._values(name, field) for name in (MIXTURE, PARTICLES)} for field in (f"right|{TWO}", "seconds")
+        )
         return (
-            paired_effect(*right, "% of frames", "count right, GM-PHD - particle PHD", 100.0),
-            paired_effect(*times, "ms", "filter per frame, particle PHD - GM-PHD", 1e3),
+            paired_effect(right[MIXTURE], right[PARTICLES], "% of frames", "count right, GM-PHD - particle PHD", 100.0),
+            paired_effect(times[PARTICLES], times[MIXTURE], "ms", "filter per frame, particle PHD - GM-PHD", 1e3),
         )
 
 
-def _filtered(at: Mapping[str, Value]) -> str:
-    return f"{at['detector']}/{at['threshold']:g}/{at['birth_weight']:g}"
-
-
 def _rendered(seed: int) -> Arrays:
-    return play(sequences.rendered(seed, script=sequences.SCRIPT))
+    sequence = sequences.rendered(seed, script=sequences.SCRIPT)
+    return play(sequence, *_alternatives(sequence.size))
 
 
 def event_effects(good: Array, happened: Array) -> tuple[Effect, ...]:
