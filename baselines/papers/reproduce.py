@@ -89,7 +89,7 @@ PAPERS: dict[str, Paper] = {
         ),
     )
 }
-"""All papers by name. The first, second and fourth report a single run each; more are needed for intervals."""
+"""All papers by name. Fewer than ten runs leave every claim open."""
 OLD_NAMES = {
     "phd": "gm_phd_video",
     "color": "monte_carlo_color",
