@@ -17,6 +17,7 @@ from servotrack.baselines.reporting.files import ResultsError, read_strict_yaml
 
 Verdict = Literal["holds", "does not hold", "no difference", "depends", "open", "not tested"]
 Value = float | int | str | bool
+Reading = Literal["first", "second"]
 SHIPPED_ASSUMPTIONS = Path(__file__).with_name("assumptions.yaml")
 LEAST_RUNS = 10
 """Smallest number of runs from which an effect is judged; with fewer a verdict is open."""
@@ -122,6 +123,7 @@ class Assumption:
         values: Values that are run. A single one is not varied.
         shipped: Value of the reproduction's main tables.
         unit: Unit of the values; empty for names.
+        listed_by: Readings of the paper that noticed it; empty if that was not recorded.
     """
 
     paper: str
@@ -130,14 +132,24 @@ class Assumption:
     values: tuple[Value, ...]
     shipped: Value
     unit: str = ""
+    listed_by: tuple[Reading, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values. Raises ValueError."""
+        """Check the values and the readings. Raises ValueError."""
+        check_readings(self.listed_by, f"assumption {self.name!r}")
         if not self.values or len(set(map(str, self.values))) != len(self.values) or self.shipped not in self.values:
             raise ValueError(
                 f"values of assumption {self.name!r} must be different and hold the shipped one, got {self.values} and "
                 f"{self.shipped!r}"
             )
+
+
+def check_readings(listed_by: Sequence[str], what: str) -> None:
+    """Check the names of readings. Raises ValueError, which calls the row `what`."""
+    if list(listed_by) not in ([], ["first"], ["second"], ["first", "second"]):
+        raise ValueError(
+            f"listed_by of {what} must be [first], [second], [first, second] or left out, got {list(listed_by)}"
+        )
 
 
 def read_assumptions(path: Path = SHIPPED_ASSUMPTIONS) -> dict[str, dict[str, Assumption]]:
@@ -149,7 +161,9 @@ def read_assumptions(path: Path = SHIPPED_ASSUMPTIONS) -> dict[str, dict[str, As
     found: dict[str, dict[str, Assumption]] = {}
     try:
         for row in read_strict_yaml(path):
-            assumption = Assumption(**{**row, "values": tuple(row["values"])})
+            assumption = Assumption(
+                **{**row, "values": tuple(row["values"]), "listed_by": tuple(row.get("listed_by", ()))}
+            )
             if assumption.name in found.setdefault(assumption.paper, {}):
                 raise ValueError(f"assumption {assumption.name!r} of {assumption.paper} is there twice")
             found[assumption.paper][assumption.name] = assumption
@@ -176,6 +190,11 @@ class Point(NamedTuple):
 
     at: Mapping[str, Value]
     effects: tuple[Effect, ...]
+
+
+def effects_at(points: Sequence[Point], **at: Value) -> tuple[Effect, ...]:
+    """Return the effects of the first point that has the given values."""
+    return next(point.effects for point in points if all(point.at[name] == value for name, value in at.items()))
 
 
 def summarize_box(

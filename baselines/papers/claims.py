@@ -8,7 +8,7 @@ verdicts are computed from the stored effects; a file in which one is anything e
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -22,8 +22,10 @@ from servotrack.baselines.papers.boxes import (
     Assumption,
     Effect,
     Point,
+    Reading,
     Rule,
     Verdict,
+    check_readings,
     judge_all,
     judge_box,
     read_assumptions,
@@ -33,7 +35,7 @@ from servotrack.baselines.reporting.files import ResultsError, atomic_path, read
 from servotrack.baselines.reporting.grid import Grid
 from servotrack.estimators.types import Array
 
-Whose = Literal["paper", "project"]
+Whose = Literal["paper", "literature", "project"]
 SHIPPED = Path(__file__).with_name("claims.yaml")
 SIGNS: Mapping[Verdict, str] = {"holds": "+", "does not hold": "−", "no difference": "=", "open": "?"}
 """Signs of the verdicts in the table of a box."""
@@ -51,7 +53,8 @@ class Claim:
     Attributes:
         id: Unique name.
         paper: Name of the paper: its folder and the argument of `servotrack reproduce`.
-        whose: "paper" if the paper claims it, "project" if it is a question of this project about the paper.
+        whose: "paper" if the paper claims it of its own work, "literature" if it repeats what is known or said of other
+            work, "project" if it is a question of this project about the paper.
         source: Section, equation, table or figure of the paper.
         claim: Statement.
         open: Names of the assumptions that the paper leaves open and that matter here, as in assumptions.yaml. Those
@@ -65,6 +68,8 @@ class Claim:
         finding: Reason in one sentence: structure, information or tuning.
         command: Command that shows it.
         least_runs: Smallest number of runs; with fewer the verdict is open.
+        listed_by: Readings of the paper that listed it; empty for the project's questions, and if it was not recorded.
+        mended: Change by the second reading in a row of the first: place, wording or box.
     """
 
     id: str
@@ -81,11 +86,20 @@ class Claim:
     finding: str | None = None
     command: str | None = None
     least_runs: int = LEAST_RUNS
+    listed_by: tuple[Reading, ...] = ()
+    mended: str | None = None
 
     def __post_init__(self) -> None:
         """Check the row. A ValueError names the claim and what to repair."""
         if self.whose not in get_args(Whose):
-            raise ValueError(f"whose of claim {self.id!r} must be paper or project, got {self.whose!r}")
+            raise ValueError(
+                f"whose of claim {self.id!r} must be one of {', '.join(get_args(Whose))}, got {self.whose!r}"
+            )
+        check_readings(self.listed_by, f"claim {self.id!r}")
+        if self.listed_by and self.whose == "project":
+            raise ValueError(f"claim {self.id!r} is a question of the project: leave listed_by out")
+        if self.mended and self.listed_by == ("second",):
+            raise ValueError(f"claim {self.id!r} is not a row of the first reading: leave mended out")
         if self.verdict not in get_args(Verdict):
             raise ValueError(
                 f"verdict of claim {self.id!r} must be one of {', '.join(get_args(Verdict))}, got {self.verdict!r}"
@@ -172,15 +186,20 @@ def ratio_effect(first: Sequence[float] | Array, second: Sequence[float] | Array
     return effect_of(np.exp(bootstrap_mean(logarithms)), "times", measured, len(logarithms))
 
 
-def read_claims(path: Path = SHIPPED) -> list[Claim]:
+def read_claims(path: Path = SHIPPED, replaced: Collection[str] = ()) -> list[Claim]:
     """Read the claims of a file.
+
+    Args:
+        path: File.
+        replaced: Claims whose results are about to be replaced. They are read without them, so that results that no
+            longer fit the open assumptions need not be removed by hand.
 
     Raises:
         ResultsError: The file is missing or invalid.
     """
     known = read_assumptions()
     try:
-        claims = [_claim(row) for row in read_strict_yaml(path)]
+        claims = [_claim(row if row["id"] not in replaced else _without_results(row)) for row in read_strict_yaml(path)]
         for claim in claims:
             if not isinstance(claim.id, str):
                 raise TypeError("every id must be a text")
@@ -190,12 +209,18 @@ def read_claims(path: Path = SHIPPED) -> list[Claim]:
     return claims
 
 
+def _without_results(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    computed = ("verdict", "depends_on", "effects", "box", "finding", "command")
+    return {key: value for key, value in row.items() if key not in computed}
+
+
 def _claim(row: Mapping[str, Any]) -> Claim:
     rule = row.get("holds_if")
     return Claim(
         **{
             **row,
             "open": tuple(row.get("open", ())),
+            "listed_by": tuple(row.get("listed_by", ())),
             "depends_on": tuple(row.get("depends_on", ())),
             "effects": tuple(Effect(**effect) for effect in row.get("effects", ())),
             "holds_if": None if rule is None else Rule(**rule),
@@ -208,10 +233,10 @@ def _check_open(claim: Claim, known: Mapping[str, Assumption]) -> None:
     if unknown:
         raise ValueError(f"open of claim {claim.id!r} must be in assumptions.yaml, got {', '.join(unknown)}")
     varied = {name for name in claim.open if len(known[name].values) > 1}
-    if claim.box is not None and set(claim.box["by"]) != varied:
+    if claim.box is not None and not varied <= set(claim.box["by"]) <= set(claim.open):
         raise ValueError(
-            f"box of claim {claim.id!r} must vary {', '.join(sorted(varied)) or 'nothing'}, got "
-            f"{', '.join(sorted(claim.box['by']))}"
+            f"box of claim {claim.id!r} must vary {', '.join(sorted(varied)) or 'nothing'}, and only what is open, "
+            f"got {', '.join(sorted(claim.box['by']))}"
         )
     if claim.box is None and varied and claim.verdict in ("holds", "does not hold", "no difference"):
         raise ValueError(
@@ -320,6 +345,30 @@ def assumptions_grid(paper: str) -> Grid:
         values = ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in open_one.values)
         rows.append([name, open_one.says, f"{values} {open_one.unit}".strip(), str(open_one.shipped)])
     return Grid(["open", "what the paper says", "values run", "in the main tables"], rows, 4)
+
+
+def audited(
+    paper: str, findings: Sequence[Finding], command: str, path: Path | None
+) -> tuple[list[Claim], dict[str, Grid]]:
+    """Fill in a claims file's claims, and return them all with the tables about a paper's.
+
+    Args:
+        paper: Name of the paper.
+        findings: Findings about some of the claims.
+        command: Command that found them.
+        path: Claims file; None for the shipped one.
+
+    Raises:
+        ValueError: A finding has an unknown id.
+        ResultsError: The file is missing or invalid.
+    """
+    claims = fill(read_claims(path or SHIPPED, {finding.id for finding in findings}), findings, command)
+    tables = {
+        "What the paper leaves open": assumptions_grid(paper),
+        "Claims": claims_grid([claim for claim in claims if claim.paper == paper or claim.command == command]),
+        **box_grids(claims, findings),
+    }
+    return claims, tables
 
 
 def box_grids(claims: Sequence[Claim], findings: Sequence[Finding]) -> dict[str, Grid]:

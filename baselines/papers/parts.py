@@ -6,12 +6,14 @@ import json
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import delayed
 
+from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.reporting.files import ResultsError, atomic_path
 from servotrack.baselines.running.workers import in_workers
@@ -111,3 +113,30 @@ def part(path: Path, setting: str, compute: Callable[[], Arrays]) -> dict[str, A
     if not path.exists():
         write_part(path, setting, compute())
     return read_part(path, setting)
+
+
+def parts_of_seeds(
+    folder: Path,
+    count: int,
+    compute: Callable[[int], Arrays],
+    advance: Callable[[], object] | None = None,
+    **setting: Any,
+) -> list[dict[str, Any]]:
+    """Return the parts of the first test seeds, computed or read, one file per seed.
+
+    Args:
+        folder: Folder of the files.
+        count: Number of seeds.
+        compute: Computes the results of a seed.
+        advance: Called after each part, to move a progress bar.
+        **setting: Values that the results depend on, beside the seed and the version of the code.
+
+    Raises:
+        ResultsError: A file is damaged, of another setting or version, or cannot be written.
+    """
+    found = []
+    for seed in seeds.take("test", count):
+        found.append(part(folder / f"{seed}.npz", setting_of(seed=seed, **setting), partial(compute, seed)))
+        if advance is not None:
+            advance()
+    return found

@@ -28,7 +28,7 @@ MISTAKES = [
     (["bench", "-l", "5-9"], "level must be a whole number from 0 to 6, got 7"),
     (["bench", "-l", "low"], "levels must look like 0-5 or 0,3, got 'low'"),
     (["leaderboard", "nowhere"], "nowhere holds no results"),
-    (["reproduce", "chess"], "paper must be one of gm_phd_video, monte_carlo_color, unscented_jacobian, hmm_sonar"),
+    (["reproduce", "chess"], "paper must be one of gm_phd_video, gm_phd_video_readings, monte_carlo_color, "),
     (["reproduce", "hmm-soner", "--truth", "gt.txt"], "got 'hmm-soner'; did you mean 'hmm_sonar'?"),
     (["play", "--video", "film.webm"], "needs an agent"),
     (["play", "--agent", "kf", "--video", "film.mov"], "video must end in .webm"),

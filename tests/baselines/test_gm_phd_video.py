@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,17 @@ from scipy.stats import spearmanr
 from servotrack.baselines.agents.people.catalog import create_detector
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers import reproduce, sequences, transfer
-from servotrack.baselines.papers.boxes import Effect
-from servotrack.baselines.papers.claims import fill, read_claims
-from servotrack.baselines.papers.gm_phd_video import box, experiment, report
+from servotrack.baselines.papers.boxes import Effect, Rule, summarize_box
+from servotrack.baselines.papers.claims import Finding, fill, read_claims
+from servotrack.baselines.papers.gm_phd_video import (
+    alternatives,
+    box,
+    events,
+    experiment,
+    readings,
+    readings_report,
+    report,
+)
 from servotrack.baselines.papers.gm_phd_video.experiment import Method, Outcome, count_right, run_methods
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts
 from servotrack.baselines.papers.request import Recording
@@ -53,66 +62,114 @@ def test_the_rendered_sequence_tells_the_truth_of_the_frames_it_gave() -> None:
     assert person.steps[0] >= 49 and person.steps[-1] == 59
 
 
-def invented_box(right: dict[str, float], sequences_of_box: int = 12) -> box.VideoBox:
-    """A box in which every tracker counts as well in all sequences, with little differences between them."""
+KINDS_PER_SEQUENCE = np.array([5.0, 1.0, 1.0, 4.0])
+
+
+def invented_rows(trackers: Iterable[str], right: dict[str, float], one_merge: float = 1.0) -> list[dict[str, Any]]:
+    """Results of sequences in which every tracker counts equally well, with little differences between them.
+
+    Where two who merge are one target, every tracker handles the share `one_merge` of the merges.
+    """
     rng = np.random.default_rng(1)
     rows = []
-    for _ in range(sequences_of_box):
-        row: dict[str, Any] = {"happened": np.array([5.0, 1.0, 1.0, 4.0])}
-        for name in box._trackers((384, 288)):
-            kind = name.split("/")[0]
-            row |= {
-                f"{name}|right": right.get(kind, 0.9) + 0.001 * rng.standard_normal(),
-                f"{name}|handled": np.array([5.0, 1.0, 1.0, 4.0]),
-                f"{name}|seconds": 1e-3 * (10.0 if name == box.PARTICLES else 1.0) * rng.uniform(0.9, 1.1),
-                f"{name}|near": 0.7,
-            }
+    for _ in range(12):
+        row: dict[str, Any] = {"happened": KINDS_PER_SEQUENCE}
+        for name in trackers:
+            kept = name.endswith(readings.UNPRUNED)
+            row[f"{name}|seconds"] = 1e-3 * (10.0 if name == box.PARTICLES or kept else 1.0) * rng.uniform(0.9, 1.1)
+            for merged in (box.TWO, box.ONE):
+                share = one_merge if merged == box.ONE else 1.0
+                row |= {
+                    f"{name}|right|{merged}": right.get(name.split("/")[0], 0.9) + 0.001 * rng.standard_normal(),
+                    f"{name}|extra|{merged}": 0.1 * kept + 0.001 * rng.standard_normal(),
+                    f"{name}|handled|{merged}": KINDS_PER_SEQUENCE * [1.0, share, 1.0, 1.0],
+                    f"{name}|near|{merged}": 0.7,
+                }
         rows.append(row)
-    made = box.VideoBox.__new__(box.VideoBox)
-    made._rows = rows
+    return rows
+
+
+def invented_alternatives(right: dict[str, float]) -> box.AlternativesBox:
+    made = box.AlternativesBox.__new__(box.AlternativesBox)
+    made._rows = invented_rows(box._alternatives((384, 288))[1], right)
     return made
+
+
+def invented_readings(right: dict[str, float], one_merge: float = 1.0) -> readings.ReadingsBox:
+    made = readings.ReadingsBox.__new__(readings.ReadingsBox)
+    made._rows = invented_rows(readings.trackers(), right, one_merge)
+    return made
+
+
+def verdicts(findings: list[Finding]) -> dict[str, str]:
+    refilled = read_claims(replaced={finding.id for finding in findings})
+    return {claim.id: claim.verdict for claim in fill(refilled, findings, report.COMMAND)}
 
 
 def test_claims_follow_the_measurements() -> None:
     rng = np.random.default_rng(0)
     slopes = (Effect(0.9, 0.8, 1.0, "log/log", "slope", 12),)
 
-    def measured(right: float, switches: float, merges: float = 0.0) -> report.Measured:
+    def measured(switches: float, merges: float = 0.0) -> report.Measured:
         noise = 0.01 * rng.standard_normal(12)
         rest = [np.full(12, 0.9)] * 3
-        happened = np.tile([5.0, 1.0, 1.0, 4.0], (12, 1))
-        events = happened * [1.0, merges, 1.0, 1.0]
+        happened = np.tile(KINDS_PER_SEQUENCE, (12, 1))
         times = [np.full(12, 1e-3)] * 2
-        return report.Measured(right + noise, *rest, switches + noise, *times, events, happened)
+        return report.Measured(
+            0.95 + noise, *rest, switches + noise, *times, happened * [1.0, merges, 1.0, 1.0], happened
+        )
 
-    def verdicts(measures: dict[str, report.Measured], **right: float) -> dict[str, str]:
-        found = report.findings(measures, invented_box(right), slopes)
-        return {claim.id: claim.verdict for claim in fill(read_claims(), found, report.COMMAND)}
-
-    found = {name: measured(0.95, 3.0) for name in experiment.METHODS}
-    found[report.TUNED] = measured(0.96, 1.0)
-    first = verdicts(found, unmasked=0.8)
-    assert first["phd-video-count"] == first["phd-video-identity"] == first["phd-video-linear-cost"] == "holds"
-    assert first["phd-video-masked-update"] == first["phd-video-errors-at-changes"] == "holds"
-    # The shipped values lose the merges, the box does not.
-    assert first["phd-video-events"] == "depends"
-    # What holds behind one detector and not behind the other depends on the detector.
-    assert verdicts(found, printed=0.3)["phd-video-count"] == "depends"
-    found[report.PAPER] = measured(0.6, 3.0, merges=1.0)
-    found[report.TUNED] = measured(0.96, 9.0)
-    last = verdicts(found, printed=0.3, ours=0.3, unmasked=0.95)
-    assert last["phd-video-count"] == last["phd-video-identity"] == last["phd-video-masked-update"] == "does not hold"
-    assert last["phd-video-events"] == "holds"
+    found = {name: measured(3.0) for name in experiment.METHODS}
+    found[report.TUNED] = measured(1.0)
+    first = verdicts(report.findings(found, invented_alternatives({"unmasked": 0.8}), slopes))
+    assert first["phd-video-identity"] == first["phd-video-linear-cost"] == first["phd-video-masked-update"] == "holds"
+    found[report.PAPER] = measured(3.0, merges=1.0)
+    found[report.TUNED] = measured(9.0)
+    last = verdicts(report.findings(found, invented_alternatives({"unmasked": 0.95}), slopes))
+    assert last["phd-video-identity"] == last["phd-video-masked-update"] == "does not hold"
     rows = {row[0]: row[3:] for row in report.events_grid(found).rows}
     assert rows[report.PAPER] == ["60 of 60", "12 of 12", "12 of 12", "48 of 48"]
     assert rows[report.TUNED] == ["60 of 60", "0 of 12", "12 of 12", "48 of 48"]
 
 
-def test_the_box_of_the_video_runs_every_point_on_one_sequence() -> None:
-    arrays = box.play(sequences.rendered(7, script=sequences.SCRIPT, horizon=60))
-    assert {f"{name}|right" for name in box._trackers((384, 288))} <= set(arrays)
-    assert arrays["ours/25/0.05|right"] >= 0.9
+def test_claims_on_counts_follow_the_readings() -> None:
+    first = verdicts(readings_report.findings(invented_readings({})))
+    held = ("count", "events", "errors-at-changes", "after-occlusion", "detector", "pruning")
+    assert {first[f"phd-video-{name}"] for name in held} == {"holds"}
+    # The detector decides the count, and what is right while people are one region decides the events.
+    last = readings_report.findings(invented_readings({"printed": 0.3}, one_merge=0.0))
+    assert verdicts(last)["phd-video-count"] == "depends" and verdicts(last)["phd-video-detector"] == "does not hold"
+    points = next(finding.points for finding in last if finding.id == "phd-video-events")
+    assert summarize_box("holds", points, Rule(above=0.5))[1] == ["merged"]
+
+
+def test_both_boxes_of_the_video_run_every_point_on_one_sequence() -> None:
+    arrays = readings.read(sequences.rendered(7, script=sequences.SCRIPT, horizon=60))
+    assert {f"{name}|right|{box.TWO}" for name in readings.trackers()} <= set(arrays)
+    assert arrays["ours/25/0.05|right|two people"] == arrays["ours/25/0.05|right|one target"] >= 0.9
     assert arrays["happened"].tolist() == [1, 0, 0, 0]
+    detectors, trackers = box._alternatives((384, 288))
+    arrays = box.play(sequences.rendered(7, script=sequences.SCRIPT, horizon=20), detectors, trackers)
+    assert {f"{name}|seconds" for name in trackers} <= set(arrays)
+
+
+def test_people_who_have_merged_are_one_region() -> None:
+    def person(left: np.ndarray) -> Track:
+        size = np.full(40, 20.0)
+        return Track(np.arange(40), np.stack([left, 0.0 * left + 50.0, size, 2.0 * size], axis=1))
+
+    steps = np.arange(40.0)
+    near = np.clip(np.abs(steps - 20.0) - 5.0, 0.0, None) * 4.0
+    truth = [person(100.0 + near), person(100.0 - near), person(300.0 + 0.0 * steps)]
+    numbers = np.full(40, 3)
+    regions = events.regions_of_people(truth, numbers)
+    merge, split = events.find_events(truth, 40)
+    assert (merge.kind, split.kind) == ("merge", "split")
+    assert regions.tolist() == [2 if merge.frame <= k < split.frame else 3 for k in range(40)]
+    # A filter that reports one target while they are one region, and three without identities before and after.
+    found = [Track(np.array([k]), truth[n].states[[k]]) for k in range(40) for n in range(regions[k])]
+    assert events.handled([merge, split], truth, numbers, found, regions) == [False, False]
+    assert events.handled([merge, split], truth, regions, found, regions, identities_kept=False) == [True, True]
 
 
 def test_an_unmasked_background_learns_people_who_stand() -> None:
@@ -120,7 +177,7 @@ def test_an_unmasked_background_learns_people_who_stand() -> None:
     person = empty.copy()
     person[15:45, 30:40] = 220
     masked: Any = create_detector("masked-paper", None, learning_rate=0.2)
-    for detector, expected in ((masked, 1), (box.UnmaskedBackground(masked), 0)):
+    for detector, expected in ((masked, 1), (alternatives.UnmaskedBackground(masked), 0)):
         state = detector.initial(empty)
         for _ in range(40):
             state, found = detector.step(state, person)

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from servotrack.estimators.metrics import Track, centroid_distances
 from servotrack.estimators.types import Array, Labels
@@ -66,8 +68,38 @@ def find_events(truth: Sequence[Track], length: int) -> list[Event]:
     return sorted(events, key=lambda event: (event.frame, event.kind))
 
 
+def regions_of_people(truth: Sequence[Track], numbers: Labels) -> Labels:
+    """Number of people in each frame if those who have merged are one.
+
+    Args:
+        truth: True tracks.
+        numbers: Number of people in each frame. Shape (T,).
+
+    Returns:
+        Shape (T,).
+    """
+    links: list[list[tuple[int, int]]] = [[] for _ in numbers]
+    for i, one in enumerate(truth):
+        for j in range(i + 1, len(truth)):
+            for begin, end in _merges(one, truth[j]):
+                for frame in range(begin, min(end, len(numbers))):
+                    links[frame].append((i, j))
+    regions = np.array(numbers, np.int64)
+    for frame, pairs in enumerate(links):
+        if pairs:
+            graph = coo_array((np.ones(len(pairs)), tuple(zip(*pairs, strict=True))), shape=(len(truth),) * 2)
+            groups, _ = connected_components(graph, directed=False)
+            regions[frame] -= len(truth) - groups
+    return regions
+
+
 def handled(
-    events: Sequence[Event], truth: Sequence[Track], numbers: Labels, tracks: Sequence[Track], counts: Labels
+    events: Sequence[Event],
+    truth: Sequence[Track],
+    numbers: Labels,
+    tracks: Sequence[Track],
+    counts: Labels,
+    identities_kept: bool = True,
 ) -> list[bool]:
     """Return whether a tracker handled each event.
 
@@ -77,6 +109,8 @@ def handled(
         numbers: True number of people in each frame. Shape (T,).
         tracks: Reported tracks.
         counts: Reported number of people in each frame. Shape (T,).
+        identities_kept: If true, people who part must carry the identities that they had before they merged; if false,
+            it is enough that their number is right.
     """
     names = identities(truth, tracks, len(numbers))
     right = np.asarray(counts)[: len(numbers)] == np.asarray(numbers)
@@ -86,7 +120,7 @@ def handled(
         good = bool(right[window].mean() >= 0.5)
         if event.kind == "appear":
             good &= _usual(names[event.people[0], window]) >= 0
-        elif event.kind == "split":
+        elif event.kind == "split" and identities_kept:
             before = [_usual(names[i, max(event.since - WINDOW, 0) : event.since]) for i in event.people]
             after = [_usual(names[i, window]) for i in event.people]
             good &= before == after and min(before) >= 0

@@ -10,20 +10,16 @@ import numpy as np
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.papers import sequences
-from servotrack.baselines.papers.boxes import Effect, Value
+from servotrack.baselines.papers.boxes import Effect, effects_at
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
     SIGNS_NOTE,
     Finding,
-    assumptions_grid,
-    box_grids,
-    claims_grid,
-    fill,
+    audited,
     mean_effect,
     paired_effect,
-    read_claims,
 )
-from servotrack.baselines.papers.gm_phd_video.box import SEQUENCES, VideoBox, cost_slopes, event_effects, shipped
+from servotrack.baselines.papers.gm_phd_video.alternatives import cost_slopes
+from servotrack.baselines.papers.gm_phd_video.box import SEQUENCES, AlternativesBox
 from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled
 from servotrack.baselines.papers.gm_phd_video.experiment import (
     COUNTED_FRAMES,
@@ -34,7 +30,7 @@ from servotrack.baselines.papers.gm_phd_video.experiment import (
 )
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts, draw_frames
 from servotrack.baselines.papers.gm_phd_video.pictures import paper_pictures
-from servotrack.baselines.papers.parts import Arrays, part, setting_of
+from servotrack.baselines.papers.parts import Arrays, part, parts_of_seeds
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.grid import Grid
@@ -59,7 +55,7 @@ NOTE = (
     "detector. An event is handled if the number is right in at least half of the "
     f"{WINDOW} frames after it, and if the person who appears is reported in them, or those who part carry the "
     "identities that they had before they merged. Without a filter every box is an identity of its own, which MOTA "
-    "and IDF1 punish. Box: "
+    "and IDF1 punish. `servotrack reproduce gm_phd_video_readings` judges the claims on counts and events. Box: "
     f"{SEQUENCES} rendered sequences. {SIGNS_NOTE}"
 )
 
@@ -96,12 +92,10 @@ def reproduce(request: Request) -> None:
     with progress_bars() as progress:
         bar = progress.add_task("rendered sequences", total=request.runs)
         folder = request.output / PAPER_NAME
-        played = []
-        for seed in seeds.take("test", request.runs):
-            setting = setting_of(seed=seed, methods=METHODS, events=KINDS)
-            played.append(part(folder / f"{seed}.npz", setting, lambda seed=seed: _played(seed)))  # type: ignore[misc]
-            progress.advance(bar)
-        box = VideoBox(folder / "box", progress)
+        played = parts_of_seeds(
+            folder, request.runs, _played, lambda: progress.advance(bar), methods=METHODS, events=KINDS
+        )
+        box = AlternativesBox(folder / "box", progress)
         slopes = cost_slopes()
         measured = _gathered(played)
         tables = {
@@ -121,17 +115,14 @@ def reproduce(request: Request) -> None:
                 progress.advance(bar)
         pictures = paper_pictures(seeds.take("test", 1)[0], METHODS[PAPER])
     found = findings(measured, box, slopes)
-    claims = fill(read_claims(request.claims or SHIPPED), found, COMMAND)
-    tables["What the paper leaves open"] = assumptions_grid(PAPER_NAME)
-    tables["Claims"] = claims_grid([claim for claim in claims if claim.paper == PAPER_NAME])
-    tables |= box_grids(claims, found)
+    claims, audit = audited(PAPER_NAME, found, COMMAND, request.claims)
     first = played[0]
     shown = {name: first[f"{name}/counts"] for name in SHOWN_COUNTS}
     figures = {
         "figure2": draw_frames(pictures),
         "figure3": draw_counts(first["numbers"], shown, float(first["frame_rate"])),
     }
-    publish(request, tables, claims, f", {request.runs} sequences", NOTE, figures)
+    publish(request, {**tables, **audit}, claims, f", {request.runs} sequences", NOTE, figures)
 
 
 def _played(seed: int) -> Arrays:
@@ -199,7 +190,7 @@ def speed_grid(measured: Mapping[str, Measured]) -> Grid:
     return Grid(["method", "detection frames/s", "filter frames/s", "both frames/s"], rows, 1)
 
 
-def findings(measured: Mapping[str, Measured], box: VideoBox, slopes: tuple[Effect, ...]) -> list[Finding]:
+def findings(measured: Mapping[str, Measured], box: AlternativesBox, slopes: tuple[Effect, ...]) -> list[Finding]:
     """Return the findings about the paper's claims.
 
     Args:
@@ -207,31 +198,14 @@ def findings(measured: Mapping[str, Measured], box: VideoBox, slopes: tuple[Effe
         box: Results of the box of open assumptions.
         slopes: Effects of the filter's cost, see `cost_slopes`.
     """
-    paper, printed, tuned, plain = (measured[name] for name in (PAPER, AS_PRINTED, TUNED, UNFILTERED))
+    paper, tuned = measured[PAPER], measured[TUNED]
 
     def compare(first: Array, second: Array, unit: str, what: str, scale: float = 1.0) -> Effect:
         return paired_effect(first, second, unit, what, scale)
 
-    counts, updates = box.counts(PAPER_COUNT_RIGHT), box.updates()
-    assumed: dict[str, Value] = {"detector": "ours", "threshold": 25.0, "birth_weight": 0.05}
+    updates = box.updates()
     rates = 1.0 / (paper.detection + paper.filter)
     return [
-        Finding(
-            "phd-video-count",
-            (compare(paper.count_right, np.full_like(paper.count_right, PAPER_COUNT_RIGHT), "% of frames",
-                     "count right - 82.7, GM-PHD table 1 on our detector", 100.0),),
-            "Tuning of the detector: without any filter it is "
-            f"{100 * plain.count_right.mean():.1f} %, with the tuned one {100 * tuned.count_right.mean():.1f} %, on "
-            f"the detector as printed {100 * printed.count_right.mean():.1f} %.",
-            counts,
-        ),
-        Finding(
-            "phd-video-filter-helps-count",
-            (compare(paper.count_right, plain.count_right, "% of frames",
-                     "count right, GM-PHD table 1 - no filter, our detector", 100.0),),
-            "Tuning: with T = 0.2 and these probabilities a component that is missed once is pruned at once.",
-            box.filtering(),
-        ),
         Finding(
             "phd-video-identity",
             (compare(tuned.switches, measured["Kalman + Hungarian"].switches, "switches",
@@ -239,18 +213,7 @@ def findings(measured: Mapping[str, Measured], box: VideoBox, slopes: tuple[Effe
             "Structure: the filter itself has no identities; they come from labels that its components carry.",
         ),
         Finding(
-            "phd-video-events", event_effects(paper.handled, paper.happened),
-            f"Table 1 on our detector handles {_share(paper)}, the tuned filter {_share(tuned)}, PMB "
-            f"{_share(measured['PMB'])}. Two people who meet are one region, of which a filter of points makes one "
-            "person.",
-            box.events(),
-        ),
-        Finding(
-            "phd-video-errors-at-changes", shipped(box.changes(), **assumed),
-            "Most of the other wrong frames belong to people who meet.", box.changes(),
-        ),
-        Finding(
-            "phd-video-masked-update", shipped(updates, threshold=25.0, learning_rate=0.02),
+            "phd-video-masked-update", effects_at(updates, threshold=25.0, learning_rate=0.02),
             "Structure: the mask keeps people out of the background, and keeps false foreground in the foreground for "
             "good, see docs/video.md.", updates,
         ),
@@ -268,11 +231,6 @@ def findings(measured: Mapping[str, Measured], box: VideoBox, slopes: tuple[Effe
             "The paper's processor is one of 2009.",
         ),
     ]  # fmt: skip
-
-
-def _share(measured: Measured) -> str:
-    parts = zip(KINDS, measured.handled.sum(0), measured.happened.sum(0), strict=True)
-    return ", ".join(f"{kind} {good:.0f} of {all_of:.0f}" for kind, good, all_of in parts)
 
 
 def _interval(values: Array, digits: int) -> str:

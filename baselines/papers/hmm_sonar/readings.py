@@ -15,13 +15,12 @@ import numpy as np
 from rich.progress import Progress
 
 from servotrack.baselines.agents.sonar.catalog import sonar_tracker
-from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.statistics import wilson_interval
 from servotrack.baselines.papers.boxes import Effect, Point, Value, box_points
 from servotrack.baselines.papers.claims import effect_of, mean_effect, paired_effect
 from servotrack.baselines.papers.hmm_sonar.experiment import draw_rows
 from servotrack.baselines.papers.hmm_sonar.scores import RecordScores, score_tracks
-from servotrack.baselines.papers.parts import part, setting_of
+from servotrack.baselines.papers.parts import parts_of_seeds
 from servotrack.envs.track.sonar.array_model import scene_model_of
 from servotrack.envs.track.sonar.config import SonarConfig, sonar_config
 from servotrack.envs.track.sonar.scene import draw_scene
@@ -162,14 +161,13 @@ class ReadingsBox:
         self, at: Mapping[str, Value], config: SonarConfig, runs: int, world: str, advance: bool = True
     ) -> list[RecordScores]:
         name = "-".join(str(at[axis]) for axis in AXES)
-        rows = [
-            part(
-                self._folder / world / name / f"{seed}.npz",
-                setting_of(world=world, reading=name, seed=seed),
-                lambda seed=seed: _scored(config, at, seed)._asdict(),  # type: ignore[misc]
-            )
-            for seed in seeds.take("test", runs)
-        ]
+        rows = parts_of_seeds(
+            self._folder / world / name,
+            runs,
+            lambda seed: _scored(config, at, seed)._asdict(),
+            world=world,
+            reading=name,
+        )
         if advance:
             self._progress.advance(self._bar)
         return [RecordScores(**row) for row in rows]

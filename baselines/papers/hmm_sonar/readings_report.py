@@ -9,15 +9,10 @@ import numpy as np
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.boxes import Effect
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
     SIGNS_NOTE,
     Finding,
-    assumptions_grid,
-    box_grids,
-    claims_grid,
-    fill,
+    audited,
     ratio_effect,
-    read_claims,
 )
 from servotrack.baselines.papers.hmm_sonar.experiment import ROW, growth_of_cost
 from servotrack.baselines.papers.hmm_sonar.readings import (
@@ -63,13 +58,7 @@ def reproduce(request: Request) -> None:
         bar = progress.add_task("timing", total=1)
         seconds = growth_of_cost(ROW, seeds.take("tune", request.runs), NUMBERS)
         progress.advance(bar)
-    found = findings(box, seconds)
-    claims = fill(read_claims(request.claims or SHIPPED), found, COMMAND)
-    tables = {
-        "What the paper leaves open": assumptions_grid(PAPER_NAME),
-        "Claims": claims_grid([claim for claim in claims if claim.paper == PAPER_NAME]),
-        **box_grids(claims, found),
-    }
+    claims, tables = audited(PAPER_NAME, findings(box, seconds), COMMAND, request.claims)
     publish(request, tables, claims, "", NOTE, {})
 
 

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
-    assumptions_grid,
-    claims_grid,
-    fill,
-    read_claims,
+    audited,
 )
 from servotrack.baselines.papers.hmm_sonar.experiment import SIMULATIONS, plan, run_all
 from servotrack.baselines.papers.hmm_sonar.figures import draw_offsets, draw_paper, draw_trial
@@ -47,13 +43,11 @@ def reproduce(request: Request) -> None:
         progress.advance(bar)
         figures["trial"] = draw_trial(seed)
         progress.advance(bar)
-    found_out = findings(found)
-    claims = fill(read_claims(request.claims or SHIPPED), found_out, COMMAND)
+    claims, audit = audited(PAPER_NAME, findings(found), COMMAND, request.claims)
     tables = {
         "Contradictions of the paper": CONTRADICTIONS,
         **{f"Simulation, variant {variant}": simulation_grid(found, variant) for variant in SIMULATIONS},
         "The sea trial's stand-in, and noise": trial_grid(found),
-        "What the paper leaves open": assumptions_grid(PAPER_NAME),
-        "Claims": claims_grid([claim for claim in claims if claim.paper == PAPER_NAME]),
+        **audit,
     }
     publish(request, tables, claims, f", {request.runs} records of each condition", NOTE, figures)

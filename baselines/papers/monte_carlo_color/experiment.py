@@ -44,16 +44,21 @@ THRESHOLDS = (0.0, 0.8, 0.9, 0.95, 0.98, 1.0)
 SAMPLES = (50, 200, 800)
 ALWAYS, NEVER = 0.0, 1.0
 """Thresholds of the update that always and that never let it happen."""
-BOX_AXES = ("sigma_0", "alpha")
+BOX_AXES = ("sigma_0", "alpha", "spread")
+FOLLOWING_AXES = ("sigma_0", "spread")
+"""Assumptions that matter wherever a target is followed."""
+SPREAD = 10.0
+"""Standard deviation of the candidates' places in the main tables, px."""
+SPREADS = (SPREAD / 2.0, SPREAD, SPREAD * 2.0)
 BOX_SCENARIOS = ("occlusion", "light")
 """Scenarios about which claims on the update are made; only there alpha is varied."""
 DEFORMED: Mapping[str, Any] = {"turning": 1.0, "tilt": 0.4}
 """Axes of films in which the head turns until the face is hidden and rolls: the paper's deformation."""
 
 
-def deviation_name(value: float) -> str:
-    """Return the name of the paper's tracker with another sigma_0."""
-    return f"sigma_0 = {value:g}"
+def deviation_name(value: float, spread: float = SPREAD) -> str:
+    """Return the name of the paper's tracker with another sigma_0, and with candidates that spread by `spread` px."""
+    return f"sigma_0 = {value:g}" + ("" if spread == SPREAD else f", spread = {spread:g}")
 
 
 def threshold_name(value: float) -> str:
@@ -73,9 +78,8 @@ def box_name(at: Mapping[str, Any], threshold: float = 0.9) -> str:
         at: Values of `BOX_AXES`.
         threshold: Threshold of the update. A tracker that never updates has no alpha.
     """
-    return (
-        f"sigma_0 {at['sigma_0']:g}, alpha {'any' if threshold == NEVER else format(at['alpha'], 'g')}, {threshold:g}"
-    )
+    alpha = "any" if threshold == NEVER else format(at["alpha"], "g")
+    return f"sigma_0 {at['sigma_0']:g}, alpha {alpha}, spread {at['spread']:g}, {threshold:g}"
 
 
 def _boxed() -> dict[str, Method]:
@@ -83,7 +87,10 @@ def _boxed() -> dict[str, Method]:
     found: dict[str, Method] = {}
     for at in box_points("monte_carlo_color", BOX_AXES):
         for threshold in (0.9, ALWAYS, NEVER):
-            setting = {"distance_deviation": at["sigma_0"], "update_rate": at["alpha"], "update_threshold": threshold}
+            setting = {
+                "distance_deviation": at["sigma_0"], "update_rate": at["alpha"], "update_threshold": threshold,
+                "center_deviation": at["spread"],
+            }  # fmt: skip
             found[box_name(at, threshold)] = ("monte-carlo-color", setting)
     return found
 
@@ -95,7 +102,15 @@ VARIANTS: dict[str, Method] = {
 }
 """Variants of the paper's tracker with one value changed."""
 BOXED: dict[str, Method] = _boxed()
-METHODS: dict[str, Method] = {**TRACKERS, **SLOW_TRACKERS, **VARIANTS, **BOXED}
+FOLLOWING: dict[str, Method] = {
+    deviation_name(float(at["sigma_0"]), spread): (
+        "monte-carlo-color", {"distance_deviation": at["sigma_0"], "center_deviation": spread},
+    )
+    for at in box_points("monte_carlo_color", FOLLOWING_AXES[:1])
+    for spread in SPREADS
+}  # fmt: skip
+"""The paper's tracker with every sigma_0 and spread; alpha is varied only where claims are about the update."""
+METHODS: dict[str, Method] = {**TRACKERS, **SLOW_TRACKERS, **VARIANTS, **BOXED, **FOLLOWING}
 
 
 class Measures(NamedTuple):
@@ -124,7 +139,7 @@ def plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
         runs: Films per scenario.
     """
     few = max(1, runs // 10)
-    fast = (*TRACKERS, *VARIANTS)
+    fast = dict.fromkeys((*TRACKERS, *VARIANTS, *FOLLOWING))
     return [
         (
             level,
@@ -138,7 +153,7 @@ def plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
 
 def deformed_plan(runs: int) -> list[tuple[int, int, tuple[str, ...]]]:
     """Return the films with a deformed head, as `plan` does; they belong to `DEFORMED`."""
-    return [(0, seed, (PAPER, PLUS, MEAN_SHIFT, *map(deviation_name, DEVIATIONS))) for seed in scored_seeds(runs)]
+    return [(0, seed, (PAPER, PLUS, MEAN_SHIFT, *FOLLOWING)) for seed in scored_seeds(runs)]
 
 
 def run_all(

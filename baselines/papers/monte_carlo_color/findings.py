@@ -13,6 +13,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     ALWAYS,
     BOX_AXES,
     DEVIATIONS,
+    FOLLOWING_AXES,
     HUES,
     MEAN_SHIFT,
     NEVER,
@@ -22,6 +23,7 @@ from servotrack.baselines.papers.monte_carlo_color.experiment import (
     PLUS,
     SAMPLES,
     SLOW_TRACKERS,
+    SPREADS,
     THRESHOLDS,
     TRACKERS,
     Measures,
@@ -127,10 +129,19 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
             for at in box_points(PAPER_NAME, BOX_AXES)
         )
 
-    def by_sigma(effect: Callable[..., Effect]) -> tuple[Point, ...]:
-        """Points over sigma_0 alone, whose effect is a function of the tracker."""
+    def following(effect: Callable[..., Effect]) -> tuple[Point, ...]:
+        """Points over sigma_0 and the spread, whose effect is a function of the tracker."""
         return tuple(
-            Point(at, (effect(deviation_name(float(at["sigma_0"]))),)) for at in box_points(PAPER_NAME, BOX_AXES[:1])
+            Point(at, (effect(deviation_name(float(at["sigma_0"]), float(at["spread"]))),))
+            for at in box_points(PAPER_NAME, FOLLOWING_AXES)
+        )
+
+    def spreads(sigma_0: float) -> tuple[Effect, ...]:
+        """Effects of half and of twice the spread on irregular motion, one sigma_0."""
+        half, chosen, twice = (aucs(found["irregular"][deviation_name(sigma_0, spread)]) for spread in SPREADS)
+        return tuple(
+            better(auc, chosen, f"spread {factor} the chosen - the chosen, irregular")
+            for auc, factor in ((half, "half"), (twice, "twice"))
         )
 
     def updates(scenario: str) -> str:
@@ -142,7 +153,7 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
             measured = f"frames with an overlap above {TRACKED_OVERLAP:g}, {scenario}"
             return mean_effect(tracked(scenes[scenario][method]), "of frames", measured)
 
-        box = points if scenario == "light" else by_sigma
+        box = points if scenario == "light" else following
         rivals = ", ".join(f"{name} {tracked(scenes[scenario][name]).mean():.2f}" for name in (MEAN_SHIFT, PLUS))
         return Finding(claim, (effect(PAPER),), f"{why} Others: {rivals}.", box(effect))
 
@@ -156,7 +167,7 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
             pair = aucs(found[scenario][method]), aucs(found[scenario][other])
             return better(*pair, f"{PAPER} - {shown.get(rival, rival)}, {scenario}")
 
-        box = points if rival in rivals else by_sigma
+        box = points if rival in rivals else following
         return Finding(claim, (effect(PAPER, always, never),), finding, box(effect))
 
     def overall(method: str, *_: str) -> Effect:
@@ -191,7 +202,21 @@ def findings(found: Found, deformed: Mapping[str, Measures], steps: Mapping[str,
         Finding(
             "color-beats-mean-shift", (overall(PAPER),),
             "Structure: the mean shift's kernel trusts the box's middle, the plain histogram takes in its rim.",
-            by_sigma(overall),
+            following(overall),
+        ),
+        Finding(
+            "color-no-motion-information", spreads(DEVIATIONS[1]),
+            "Information: the spread is what the method knows about the motion.",
+            tuple(Point(at, spreads(float(at["sigma_0"]))) for at in box_points(PAPER_NAME, FOLLOWING_AXES[:1])),
+        ),
+        Finding(
+            "color-cheaper-than-particles", (times(PAPER, PARTICLES),),
+            "Structure: histograms of 200 boxes take the time, resampling 200 numbers takes next to none.",
+        ),
+        Finding(
+            "color-more-features", (against(PLUS, PAPER),),
+            "Information: gradients and places of colors, and what the background looks like.",
+            following(lambda method, *_: against(PLUS, method)),
         ),
         Finding(
             "color-no-resampling", (against(PAPER, PARTICLES),),

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
     SIGNS_NOTE,
-    assumptions_grid,
-    box_grids,
-    claims_grid,
-    fill,
-    read_claims,
+    audited,
 )
 from servotrack.baselines.papers.monte_carlo_color.experiment import (
     DEFORMED,
@@ -67,17 +62,14 @@ def reproduce(request: Request) -> None:
         progress.advance(bar)
         tracked = draw_tracked(scored_seeds(1)[0])
         progress.advance(bar)
-    found_out = findings(found, deformed, steps)
-    claims = fill(read_claims(request.claims or SHIPPED), found_out, COMMAND)
+    claims, audit = audited(PAPER_NAME, findings(found, deformed, steps), COMMAND, request.claims)
     tables = {
         "AUC by scenario": auc_grid(found),
         "Precision, failures, speed": quality_grid(found, seconds),
         "The paper's tracker with one value changed: AUC, and size of its box over the true one": sensitivity_grid(
             found
         ),
-        "What the paper leaves open": assumptions_grid(PAPER_NAME),
-        "Claims": claims_grid([claim for claim in claims if claim.paper == PAPER_NAME]),
-        **box_grids(claims, found_out),
+        **audit,
     }
     figures = {"success": draw_success(found), "figure4": tracked, "sensitivity": draw_sensitivity(found)}
     publish(request, tables, claims, f", {request.runs} films of each scenario", NOTE, figures)

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
     SIGNS_NOTE,
-    assumptions_grid,
-    box_grids,
-    claims_grid,
-    fill,
-    read_claims,
+    audited,
 )
 from servotrack.baselines.papers.pairwise_markov import tables as grids
 from servotrack.baselines.papers.pairwise_markov.experiment import draw_runs, single_run, time_steps
@@ -75,8 +70,7 @@ def reproduce(request: Request) -> None:
         seconds["SMC-PHD", PAPER_RATE] = time_steps(["SMC-PHD"], paper_world, timed)["SMC-PHD"]
         progress.advance(bar)
     counted = draw_runs(paper_world.config, [first])[0].exists[:-1].sum(axis=1)
-    found_out = findings(found, seconds, counted)
-    claims = fill(read_claims(request.claims or SHIPPED), found_out, COMMAND)
+    claims, audit = audited(PAPER_NAME, findings(found, seconds, counted), COMMAND, request.claims)
     rates = [found[clutter_name(rate)] for rate in CLUTTER_RATES]
     sweep = [found[detection_name(p)] for p in DETECTION_PROBABILITIES]
     tables = {
@@ -98,9 +92,7 @@ def reproduce(request: Request) -> None:
         "Other metrics, clutter 20, m": grids.metrics_grid(found[clutter_name(PAPER_RATE)]),
         "Readings of a, b, c, d: what the PMM gains, OSPA in m": grids.structure_grid(found),
         f"Identity, {wanted['part']} runs: OSPA(2) and trajectory GOSPA in m": grids.identity_grid(found["identity"]),
-        "What the paper leaves open": assumptions_grid(PAPER_NAME),
-        "Claims": claims_grid([claim for claim in claims if claim.paper == PAPER_NAME or claim.command == COMMAND]),
-        **box_grids(claims, found_out),
+        **audit,
     }
     example = single_run("CBMeMBer-PMM", paper_world, first)
     at_paper = {name: found[clutter_name(PAPER_RATE)][name] for name in METHODS}

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.progress import Progress
 
-from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.papers.boxes import Effect, Point, Value, box_points
 from servotrack.baselines.papers.claims import paired_effect
-from servotrack.baselines.papers.parts import part, setting_of
+from servotrack.baselines.papers.parts import parts_of_seeds
 from servotrack.baselines.papers.unscented_jacobian import experiment
 from servotrack.baselines.papers.unscented_jacobian.experiment import POSITIONING, TRACKING, WORLD, Variances
 from servotrack.estimators.types import Array
@@ -52,24 +52,22 @@ class Box:
         bar = progress.add_task("box of assumptions", total=len(noises) + len(NOT_GAUSSIAN) + 1)
         self._ellipses = []
         for point in noises:
-            self._ellipses.append((point, self._runs(_name(point), lambda seed, point=point: _ellipse(point, seed))))  # type: ignore[misc]
+            self._ellipses.append((point, self._runs(_name(point), partial(_ellipse, point))))
             progress.advance(bar)
         self._heavy = {}
         for name, noise in NOT_GAUSSIAN.items():
-            self._heavy[name] = self._runs(name, lambda seed, noise=noise: _heavy(noise, seed))  # type: ignore[misc]
+            self._heavy[name] = self._runs(name, partial(_heavy, noise))
             progress.advance(bar)
         self.at_rest = self._runs("at-rest", _at_rest)
         progress.advance(bar)
 
     def _runs(self, name: str, compute: Callable[[int], Mapping[str, Any]]) -> dict[str, Array]:
         """Results of all episodes, by name, first axis the episodes."""
-        rows = []
-        for seed in seeds.take("test", self.episodes):
-            setting = setting_of(
-                point=name, seed=seed, gain=experiment.GAIN, probe=experiment.PROBE, world=dict(WORLD),
-                prior=experiment.INITIAL_VARIANCE, heavy={key: dict(value) for key, value in NOT_GAUSSIAN.items()},
-            )  # fmt: skip
-            rows.append(part(self._folder / name / f"{seed}.npz", setting, lambda seed=seed: compute(seed)))  # type: ignore[misc]
+        rows = parts_of_seeds(
+            self._folder / name, self.episodes, compute,
+            point=name, gain=experiment.GAIN, probe=experiment.PROBE, world=dict(WORLD),
+            prior=experiment.INITIAL_VARIANCE, heavy={key: dict(value) for key, value in NOT_GAUSSIAN.items()},
+        )  # fmt: skip
         return {key: np.array([row[key] for row in rows], np.float64) for key in rows[0]}
 
     def differences(self, first: str, second: str) -> tuple[Point, ...]:

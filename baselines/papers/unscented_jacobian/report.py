@@ -11,21 +11,16 @@ import numpy as np
 from rich.progress import Progress
 
 from servotrack.baselines.evaluation import seeds
-from servotrack.baselines.papers.boxes import Effect, Point
+from servotrack.baselines.papers.boxes import Effect, Value, effects_at
 from servotrack.baselines.papers.claims import (
-    SHIPPED,
     SIGNS_NOTE,
     Finding,
-    assumptions_grid,
-    box_grids,
-    claims_grid,
-    fill,
+    audited,
     mean_effect,
     paired_effect,
     ratio_effect,
-    read_claims,
 )
-from servotrack.baselines.papers.parts import Arrays, part, setting_of
+from servotrack.baselines.papers.parts import Arrays, part, parts_of_seeds, setting_of
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.papers.unscented_jacobian import experiment
@@ -78,7 +73,7 @@ def reproduce(request: Request) -> None:
         scaled = {(name, scale): _scaled_run(name, scale, seed, folder) for name in ("KF", "PF") for scale in SCALES}
         open_loop = _open_loop(seed, folder)
         closed_loop = _closed_loop(seed, folder)
-        audited = _audit_runs(folder, progress)
+        ellipses = _audit_runs(folder, progress)
         box = Box(folder / "box", progress)
     tables = {
         "Table 1: positioning": _positioning_grid(positioning),
@@ -86,11 +81,8 @@ def reproduce(request: Request) -> None:
         "The finding: on the linear model a UKF is a KF": _finding_grid(open_loop, closed_loop),
         "The ordering from tuning alone: process variance": _scale_grid(scaled, tracking),
     }
-    findings = _findings(audited, tracking, positioning, open_loop, closed_loop, box)
-    claims = fill(read_claims(request.claims or SHIPPED), findings, COMMAND)
-    tables["What the paper leaves open"] = assumptions_grid(PAPER_NAME)
-    tables["Claims"] = claims_grid([claim for claim in claims if claim.paper == PAPER_NAME])
-    tables |= box_grids(claims, findings)
+    findings = _findings(ellipses, tracking, positioning, open_loop, closed_loop, box)
+    claims, audit = audited(PAPER_NAME, findings, COMMAND, request.claims)
     figures = {
         name: draw_trajectories({algorithm: found[algorithm][0] for algorithm in ALGORITHMS}, title)
         for name, found, title in (
@@ -98,13 +90,18 @@ def reproduce(request: Request) -> None:
             ("figure4", tracking, "Tracking (Zhang 2011, figure 4)"),
         )
     }
-    publish(request, tables, claims, "", ASSUMED, figures)
+    publish(request, {**tables, **audit}, claims, "", ASSUMED, figures)
 
 
 def _setting(**values: Any) -> str:
     """Settings that a part's results depend on, in one line."""
+    return setting_of(**_values(**values))
+
+
+def _values(**values: Any) -> dict[str, Any]:
+    """Assumed values and `values`; a world other than the paper's is among them."""
     assumed = (experiment.PROCESS_VARIANCE, experiment.MEASUREMENT_VARIANCE, experiment.INITIAL_VARIANCE)
-    return setting_of(assumed=assumed, gain=experiment.GAIN, probe=experiment.PROBE, **{"world": dict(WORLD), **values})
+    return {"assumed": assumed, "gain": experiment.GAIN, "probe": experiment.PROBE, "world": dict(WORLD), **values}
 
 
 def _runs(env_id: str, runs: int, seed: int, folder: Path, progress: Progress) -> dict[str, list[Run]]:
@@ -165,22 +162,16 @@ def _audit_runs(folder: Path, progress: Progress) -> dict[str, list[float]]:
     methods: dict[str, JacobianEstimator] = {name: experiment.estimator(name) for name in ALGORITHMS}
     methods[FASTER] = experiment.estimator("KF", 10.0)
     methods |= {name: experiment.estimator(name) for name in ("fixed", "KF without J_t")}
-    chosen = seeds.take("test", AUDITED_EPISODES)
-    bar = progress.add_task("random ellipses", total=len(chosen))
-    errors: dict[str, list[float]] = {name: [] for name in methods}
-    for seed in chosen:
-        stored = part(
-            folder / "ellipses" / f"{seed}.npz",
-            _setting(world=RANDOM_ELLIPSES, seed=seed),
-            lambda seed=seed: {  # type: ignore[misc]
-                name: experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES).transient
-                for name, method in methods.items()
-            },
-        )
-        for name, found in errors.items():
-            found.append(float(stored[name]))
-        progress.advance(bar)
-    return errors
+    bar = progress.add_task("random ellipses", total=AUDITED_EPISODES)
+
+    def errors(seed: int) -> Arrays:
+        runs = {name: experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES) for name, method in methods.items()}
+        return {name: run.transient for name, run in runs.items()}
+
+    rows = parts_of_seeds(
+        folder / "ellipses", AUDITED_EPISODES, errors, lambda: progress.advance(bar), **_values(world=RANDOM_ELLIPSES)
+    )
+    return {name: [float(row[name]) for row in rows] for name in methods}
 
 
 def _mean(runs: Sequence[Run], attribute: str) -> float:
@@ -242,7 +233,7 @@ def _scale_grid(scaled: Mapping[tuple[str, float], ScaledRun], tracking: Mapping
 
 
 def _findings(
-    audited: Mapping[str, Sequence[float]],
+    ellipses: Mapping[str, Sequence[float]],
     tracking: Mapping[str, Sequence[Run]],
     positioning: Mapping[str, Sequence[Run]],
     open_loop: Mapping[float, float],
@@ -250,26 +241,23 @@ def _findings(
     box: Box,
 ) -> list[Finding]:
     def compare(claim: str, first: str, second: str, finding: str) -> Finding:
-        effect = _effect(audited[first], audited[second], f"{first} - {second}")
+        effect = _effect(ellipses[first], ellipses[second], f"{first} - {second}")
         return Finding(claim, (effect,), finding, box.differences(first, second))
-
-    def shipped(points: Sequence[Point], **at: float | str) -> tuple[Effect, ...]:
-        return next(point.effects for point in points if all(point.at[name] == value for name, value in at.items()))
 
     def slower(first: str, second: str) -> Effect:
         times = {name: [run.seconds for run in tracking[name]] for name in (first, second)}
         return ratio_effect(times[first], times[second], f"processor time per run, {first} / {second}")
 
-    tuned = _effect(audited[FASTER], audited["UKF as printed"], "")
+    tuned = _effect(ellipses[FASTER], ellipses["UKF as printed"], "")
     seconds = {name: _seconds(runs) for name, runs in tracking.items()}
-    assumed = {
+    assumed: dict[str, Value] = {
         "process_variance": experiment.PROCESS_VARIANCE,
         "measurement_variance": experiment.MEASUREMENT_VARIANCE,
         "pixel_noise": 0.0,
     }
     jacobian, printed = box.jacobians("UKF", "KF", 0), box.jacobians("UKF as printed", "KF", 0)
     particles = box.jacobians("PF", "KF", 0)
-    (by_time,) = shipped(box.jacobians("UKF as printed", "KF", 1), **assumed)
+    (by_time,) = effects_at(box.jacobians("UKF as printed", "KF", 1), **assumed)
     heavy = box.heavy_tails()
     rest = box.at_rest
     at_rest = "tracking error before targets at rest elsewhere, KF - fixed"
@@ -308,20 +296,20 @@ def _findings(
             "the one learned before the paper's target serves in the whole reach of the arm.",
         ),
         Finding(
-            "servo-jacobian-accuracy", shipped(jacobian, **assumed),
+            "servo-jacobian-accuracy", effects_at(jacobian, **assumed),
             "Structure: on the same data the two are the same filter.", jacobian,
         ),
         Finding(
-            "servo-jacobian-accuracy-as-printed", shipped(printed, **assumed),
+            "servo-jacobian-accuracy-as-printed", effects_at(printed, **assumed),
             "Tuning: with the assumed variances it tracks better with a worse J_theta; what improves is J_t, by "
             f"{-by_time.value:.3g} [{-by_time.high:.3g}, {-by_time.low:.3g}] % of the norm.", printed,
         ),
         Finding(
-            "servo-pf-jacobian-accuracy", shipped(particles, **assumed),
+            "servo-pf-jacobian-accuracy", effects_at(particles, **assumed),
             "Same noises: the particles approximate what the KF computes.", particles,
         ),
         Finding(
-            "servo-pf-not-gaussian", shipped(heavy, noise_kind="outliers", pf_likelihood="normal"),
+            "servo-pf-not-gaussian", effects_at(heavy, noise_kind="outliers", pf_likelihood="normal"),
             "Information: particles gain nothing from their number; a likelihood with heavy tails can.", heavy,
         ),
         Finding(
