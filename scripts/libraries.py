@@ -37,7 +37,7 @@ class Library(NamedTuple):
         package: Distribution whose version is shown.
         scripts: Scripts and their further arguments.
         needs: What a user must know, for the table.
-        requirements: Arguments of `pip install` beside torch and servotrack; empty if an extra holds all.
+        requirements: Requirements beside servotrack, installed one after the other; empty if an extra holds all.
         extras: Extras of servotrack.
     """
 
@@ -49,6 +49,8 @@ class Library(NamedTuple):
     extras: str = "core"
 
 
+TORCH = "torch==2.13.0"
+"""Installed by its exact version before what needs it, as in scripts/setup."""
 FLAT = "`FlatSets` scales observations"
 LIBRARIES = {
     "sb3": Library(
@@ -73,33 +75,54 @@ LIBRARIES = {
             "cleanrl_script.py sac_continuous_action.py": ("--total-timesteps", "5000", "--learning-starts", "1000"),
         },
         "its scripts are written for Gymnasium 0.29: a launcher gives three things of newer versions their old names",
-        ("tyro", "tensorboard", "psutil"),
+        (TORCH, "tyro", "tensorboard", "psutil"),
     ),
     "torchrl": Library(
-        "TorchRL", "torchrl", {"torchrl_ppo.py": ()}, "`DoubleToFloat`: observations are float64", ("torchrl>=0.14,<1",)
+        "TorchRL",
+        "torchrl",
+        {"torchrl_ppo.py": ()},
+        "`DoubleToFloat`: observations are float64",
+        (
+            TORCH,
+            "torchrl>=0.14,<1",
+        ),
     ),
     "skrl": Library(
         "skrl",
         "skrl",
         {"skrl_ppo.py": ()},
         "`FlattenObservation`: its networks read one vector",
-        ("skrl[torch]>=2.1,<3",),
+        (
+            TORCH,
+            "skrl[torch]>=2.1,<3",
+        ),
     ),
     "tianshou": Library(
         "tianshou",
         "tianshou",
         {"tianshou_ppo.py": ()},
         "a registered id with `FlattenObservation`; its builder needs the extra `eval`",
-        ("tianshou[eval]>=2,<3",),
+        (
+            TORCH,
+            "tianshou[eval]>=2,<3",
+        ),
     ),
     "rllib": Library(
-        "RLlib", "ray", {"rllib_ppo.py": ()}, "`register_env`; `FlattenObservation`", ("ray[rllib]>=2.51,<3",)
+        "RLlib",
+        "ray",
+        {"rllib_ppo.py": ()},
+        "`register_env`; `FlattenObservation`",
+        (
+            TORCH,
+            "ray[rllib]>=2.51,<3",
+        ),
     ),
     "minari": Library(
         "Minari",
         "minari",
         {"minari_dataset.py": (), "minari_collector.py": ()},
-        "nothing; `collect_dataset` collects from many arms at once",
+        "its own collector needs the extra `create`; `collect_dataset` collects from many arms at once",
+        ("minari[create]",),
         extras="minari",
     ),
 }
@@ -116,9 +139,8 @@ def environment(name: str, library: Library) -> Path:
     mark = folder / "libraries.txt"
     wanted = "\n".join(library.requirements)
     if library.requirements and not (mark.is_file() and mark.read_text(encoding="utf-8") == wanted):
-        # By its exact version first, as in scripts/setup.
-        for packages in (("torch==2.13.0",), library.requirements):
-            subprocess.run([python, "-m", "pip", "install", "-q", *packages], check=True)
+        for requirement in library.requirements:
+            subprocess.run([python, "-m", "pip", "install", "-q", requirement], check=True)
         mark.write_text(wanted, encoding="utf-8")
     return python
 
@@ -150,7 +172,7 @@ def run(name: str, library: Library, python: Path, script: str, options: tuple[s
     ]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        variables = {**os.environ, "MINARI_DATASETS_PATH": folder, "RAY_DEDUP_LOGS": "0"}
+        variables = {**os.environ, "MINARI_DATASETS_PATH": folder, "RAY_ADDRESS": "local"}
         done = subprocess.run(
             command, cwd=folder, env=variables, capture_output=True, text=True, timeout=LIMIT, check=False
         )
