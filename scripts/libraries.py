@@ -36,7 +36,7 @@ class Library(NamedTuple):
         title: Name in the table.
         package: Distribution whose version is shown.
         scripts: Scripts and their further arguments.
-        needs: What a user must know, for the table.
+        needs: Remarks for users, for the table.
         requirements: Requirements beside servotrack, installed one after the other; empty if an extra holds all.
         extras: Extras of servotrack.
     """
