@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.crowd import Crowd, draw_paths, walking_crowd
 from servotrack.envs.follow.outfits import Outfits, draw_outfits, hidden_people
-from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, samples
+from servotrack.envs.servo.episode import Episode, draw_episode, samples
+from servotrack.envs.streams import Streams
 from servotrack.estimators.types import Array, Mask
 
 
@@ -38,7 +39,7 @@ def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
     """
     drawn: list[Array] = []
 
-    def motion(streams: ServoStreams, links: Array) -> Array:
+    def motion(streams: Streams, links: Array) -> Array:
         drawn[:] = [draw_paths(config, streams, links, samples(config))]
         return drawn[0][:, 0]
 

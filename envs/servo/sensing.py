@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 
-from servotrack.envs.servo.compiled_arms import LANES, move_blocks
+from servotrack.envs.servo.compiled_arms import LANES, move_blocks, start_arm
+from servotrack.envs.servo.layout import draw_layouts
+from servotrack.envs.servo.noise import draw_noises
 from servotrack.envs.servo.records import RING
-from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD, START
 from servotrack.estimators.camera import project
 from servotrack.estimators.compilation import njit
 
@@ -51,6 +53,45 @@ def advance(  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         if rows[i]:
             _sense(i, settings[0], constants[i], tables, joints[i], history[i], samples[i])
+
+
+@njit(cache=True, nogil=True)
+def begin(  # type: ignore[no-untyped-def]
+    rows, seeds, ranges, fixed, noise, started, blocks, solver, settings, constants, tables, joints, history, samples
+):
+    """Draw new episodes, restart their arms and observe them: a whole reset in one call.
+
+    Args:
+        rows: Indices of the rows, (n,).
+        seeds: Seed of each of these rows' episodes, below 2^63, (n,).
+        ranges: Ranges of layouts, `Ranges`, of a target that moves along waves.
+        fixed: Take the first layout, see `never_rejected`.
+        noise: Ranges of noise, `NoiseRanges`.
+        started: Sample before an episode's first one, (1,) record `SAMPLE`.
+        blocks: See `advance`.
+        solver: See `advance`.
+        settings: See `advance`.
+        constants: Overwritten in these rows, see `advance`.
+        tables: Overwritten in these rows, see `advance`.
+        joints: See `advance`.
+        history: See `advance`.
+        samples: See `advance`.
+
+    Returns:
+        -1, or the first row without a solvable layout.
+    """
+    failed = draw_layouts(rows, seeds, ranges, fixed, constants, tables.paths)
+    if failed >= 0:
+        return failed
+    draw_noises(rows, seeds, noise, constants, tables)
+    for n in range(len(rows)):
+        row = rows[n]
+        start_arm(row, constants[row].links, blocks, joints, solver[0])
+        for k in range(RING):
+            history[row, k, 0], history[row, k, 1] = START[0], START[1]
+        samples[row] = started[0]
+        _sense(row, settings[0], constants[row], tables, joints[row], history[row], samples[row])
+    return failed
 
 
 @njit(cache=True, nogil=True)
