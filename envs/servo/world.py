@@ -129,6 +129,7 @@ class ServoWorld:
         self.reward, self.terminated, self.truncated = sample["reward"], sample["terminated"], sample["truncated"]
         self.tracking_error, self.feature_error = sample["tracking_error"], sample["feature_error"]
         self.tool, self.target = sample["tool"], sample["target"]
+        self._numbers = sample.view(np.float64).reshape(self.count, -1)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes for a copy, without the views of the records."""
@@ -139,6 +140,13 @@ class ServoWorld:
         """Take over the attributes of the copied world."""
         self.__dict__.update(attributes)
         self._name_fields()
+
+    def newest(self, row: int = 0) -> Array:
+        """Return a copy of a row's newest sample as numbers; `PLACES` has the place of each field.
+
+        A single environment takes its observation from slices of it, in two thirds of the time of copies.
+        """
+        return self._numbers[row].copy()
 
     def get_state(self) -> State:
         """Return the exact state: the episodes' seeds, and what has happened since their resets."""
@@ -272,20 +280,21 @@ class ServoWorld:
                 arms.blocks, arms.solver, rows, actions, self._settings, self._constants, self._tables, self.joints,
                 self.history, self._samples,
             )  # fmt: skip
-            beginning = self._beginning(arms, ended, seeds) if self._draws_compiled and len(ended) else None
+            if len(ended) and self._draws_compiled:
+                beginning = self._beginning(arms, ended, seeds)
 
-            def work(first: int, last: int) -> None:
-                advance(*step, first, last)
-                if beginning is not None:
+                def work(first: int, last: int) -> None:
+                    advance(*step, first, last)
                     # A thread restarts the arms of its own blocks.
                     beginning(*np.searchsorted(ended, (first * LANES, last * LANES)).tolist())
 
-            self._threads.share(work, len(arms.blocks))
-            if beginning is not None:
+                self._threads.share(work, len(arms.blocks))
                 self._note_begun(ended, seeds)
                 rows = rows.copy()
                 rows[ended] = True
                 ended = _NO_ROWS
+            else:
+                self._threads.share(lambda first, last: advance(*step, first, last), len(arms.blocks))
         else:
             command(rows, actions, self._settings, self._constants, self._tables, self.joints, self._samples)
             arms.step(self._samples["rates"])
