@@ -272,4 +272,8 @@ def draw_laplace(state, scale):  # type: ignore[no-untyped-def]
 
 def episode_seed(rng: np.random.Generator) -> int:
     """Draw the seed of the next episode from an environment's generator."""
+    bits = rng.bit_generator
+    if isinstance(bits, np.random.PCG64):
+        # The same number in a fifth of the time.
+        return int(bits.random_raw()) >> 1
     return int(rng.integers(0, 2**63))

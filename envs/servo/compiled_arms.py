@@ -177,7 +177,7 @@ def start_arm(row, links, blocks, angles, constants):  # type: ignore[no-untyped
 
     Args:
         row: Index of the arm.
-        links: Its link lengths, (2,) m.
+        links: Link lengths of this arm, (2,) m.
         blocks: Quantities of all arms, (blocks, fields x LANES).
         angles: Joint angles of all arms, the row overwritten, (N, 2) rad.
         constants: Constants of the solver, a record `SOLVER`.

@@ -16,7 +16,7 @@ from servotrack.envs.servo.layout import draw_layouts, never_rejected, no_layout
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.noise import NEVER, draw_noises, noise_ranges_of
 from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, SETTINGS
-from servotrack.envs.servo.sensing import advance, begin, command, sense
+from servotrack.envs.servo.sensing import EpisodeDraws, advance, begin, command, sense
 from servotrack.envs.servo.targets import LEAD, PERIOD, START
 from servotrack.envs.servo.threads import Threads
 from servotrack.envs.state import State, entry, part, put, taken
@@ -97,11 +97,10 @@ class ServoWorld:
         self.history = np.zeros((count, RING, 2))
         """True joint angles of the last samples, a ring buffer indexed by table index modulo RING, (N, RING, 2) rad."""
         self._all_rows = np.ones(count, np.bool_)
-        self._ranges, self._fixed = ranges_of(config), never_rejected(config)
-        self._noise = noise_ranges_of(config)
-        self._first_sample = np.zeros(1, SAMPLE)
-        self._first_sample["features"] = config.camera_size / 2.0
-        self._first_sample["frame_time"] = -(LEAD + config.warmup) * PERIOD
+        first_sample = np.zeros(1, SAMPLE)
+        first_sample["features"] = config.camera_size / 2.0
+        first_sample["frame_time"] = -(LEAD + config.warmup) * PERIOD
+        self._draws = EpisodeDraws(ranges_of(config), never_rejected(config), noise_ranges_of(config), first_sample)
         self._settings = np.zeros(1, SETTINGS)
         for name, value in {
             "max_joint_rate": config.max_joint_rate,
@@ -184,7 +183,7 @@ class ServoWorld:
     @property
     def _draws_compiled(self) -> bool:
         """True if compiled code draws whole episodes, path included."""
-        return self._ranges.kind >= 0
+        return self._draws.ranges.kind >= 0
 
     def reset(self, rows: Sequence[int] | Labels, seeds: Sequence[int] | Labels) -> None:
         """Start new episodes in some rows. The other rows are not changed.
@@ -211,11 +210,11 @@ class ServoWorld:
         self._draw(rows, seeds)
         self.arms.reset(rows, self.links[rows])
         self.history[rows] = START
-        self._samples[rows] = self._first_sample
+        self._samples[rows] = self._draws.first_sample
 
     def _draw(self, rows: Labels, seeds: Labels) -> None:
         """Draw the episodes of rows into the tables."""
-        config, constants, tables = self.config, self._constants, self._tables
+        config, draws, constants, tables = self.config, self._draws, self._constants, self._tables
         if not self._draws_compiled:
             for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
                 self._load(row, draw_episode(config, seed))
@@ -224,8 +223,8 @@ class ServoWorld:
 
         def draw(first: int, last: int) -> None:
             some, own = rows[first:last], seeds[first:last]
-            failed.append(draw_layouts(some, own, self._ranges, self._fixed, constants, tables.paths))
-            draw_noises(some, own, self._noise, constants, tables)
+            failed.append(draw_layouts(some, own, draws.ranges, draws.fixed, constants, tables.paths))
+            draw_noises(some, own, draws.noise, constants, tables)
 
         self._threads.share(draw, len(rows), _LEAST_EPISODES)
         if max(failed) >= 0:
@@ -248,8 +247,8 @@ class ServoWorld:
         """Return the compiled reset of some of these rows, by their first index and the one after the last."""
         arms.note_started(rows)
         begun = (
-            self._ranges, self._fixed, self._noise, self._first_sample, arms.blocks, arms.solver, self._settings,
-            self._constants, self._tables, self.joints, self.history, self._samples,
+            self._draws, arms.blocks, arms.solver, self._settings, self._constants, self._tables, self.joints,
+            self.history, self._samples,
         )  # fmt: skip
 
         def work(first: int, last: int) -> None:

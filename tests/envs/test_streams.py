@@ -17,6 +17,7 @@ from servotrack.envs.streams import (
     draw_laplace,
     draw_normal,
     draw_share,
+    episode_seed,
     start_stream,
 )
 from servotrack.estimators.compilation import njit
@@ -192,6 +193,15 @@ def test_episodes_have_the_noise_of_numpys_generators():
         quarter = config.horizon // 4
         assert episode.knocked_at == LEAD + config.warmup + streams[Stream.KNOCK].integers(quarter, 3 * quarter + 1)
         assert episode.dropped[streams[Stream.DROPOUT].random(count) < config.dropout].all()
+
+
+@pytest.mark.parametrize("kind", [np.random.PCG64, np.random.MT19937])
+def test_the_next_episodes_seed_is_a_draw_of_the_generator(kind):
+    ours, theirs = (np.random.Generator(kind(5)) for _ in range(2))
+    for _ in range(50):
+        # Half of a number of 64 bits may be left over.
+        assert ours.integers(7) == theirs.integers(7)
+        assert episode_seed(ours) == theirs.integers(0, 2**63)
 
 
 def test_a_negative_seed_is_refused():
