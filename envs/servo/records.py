@@ -70,7 +70,8 @@ others as attributes of `ServoWorld`.
 
 
 def _places(name: str) -> slice:
-    field, offset = (SAMPLE.fields or {})[name][:2]
+    assert SAMPLE.fields is not None
+    field, offset = SAMPLE.fields[name][:2]
     return slice(offset // 8, (offset + field.itemsize) // 8)
 
 
