@@ -123,7 +123,7 @@ def draw_paths(ranges, states, links, count):  # type: ignore[no-untyped-def]
         Positions and velocities like `Crowd.paths`. Rows after the arm could not follow are zeros; such an episode is
             drawn again.
     """
-    people, party, (state, others) = ranges.people, np.arange(ranges.people), states
+    people, party, state, others = ranges.people, np.arange(ranges.people), states[0], states[1]
     pace, starts = np.empty(people), np.empty((people, 2))
     for i in range(people):
         pace[i] = draw_uniform(state, ranges.pace[0], ranges.pace[1])
