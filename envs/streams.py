@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -207,6 +209,71 @@ def draw_index(state, count):  # type: ignore[no-untyped-def]
             return np.int64(product >> _WORD)
 
 
+_LAYERS = np.load(Path(__file__).with_name("ziggurat.npy"))
+"""NumPy's tables of the ziggurat method (Marsaglia and Tsang 2000), 256 layers of the normal and of the exponential
+density: shares of a layer that need no test, widths, and heights at the edges. They are stored because no formula
+gives their last bits."""
+_NORMAL_BOUNDS, _NORMAL_WIDTHS, _NORMAL_HEIGHTS, _EXPONENTIAL_BOUNDS, _EXPONENTIAL_WIDTHS, _EXPONENTIAL_HEIGHTS = (
+    np.ascontiguousarray(_LAYERS[name]) for name in _LAYERS.dtype.names
+)
+_NORMAL_TAIL, _NORMAL_TAIL_INVERSE, _EXPONENTIAL_TAIL = 3.6541528853610088, 0.27366123732975828, 7.69711747013104972
+_LAYER, _LAYER_BITS, _SHARE = np.uint64(0xFF), np.uint64(8), np.uint64(2**52 - 1)
+
+
+@njit(cache=True, nogil=True)
+def draw_normal(state):  # type: ignore[no-untyped-def]
+    """Draw from the standard normal distribution: `Generator.standard_normal()`."""
+    while True:
+        word = _draw_word(state)
+        layer, word = word & _LAYER, word >> _LAYER_BITS
+        share = word >> _ONE & _SHARE
+        x = np.float64(share) * _NORMAL_WIDTHS[layer]
+        if word & _ONE:
+            x = -x
+        if share < _NORMAL_BOUNDS[layer]:
+            return x
+        if layer == 0:
+            while True:
+                beyond = -_NORMAL_TAIL_INVERSE * math.log1p(-draw_share(state))
+                height = -math.log1p(-draw_share(state))
+                if height + height > beyond * beyond:
+                    return -(_NORMAL_TAIL + beyond) if share >> _LAYER_BITS & _ONE else _NORMAL_TAIL + beyond
+        upper, lower = _NORMAL_HEIGHTS[layer - _ONE], _NORMAL_HEIGHTS[layer]
+        if (upper - lower) * draw_share(state) + lower < math.exp(-0.5 * x * x):
+            return x
+
+
+@njit(cache=True, nogil=True)
+def draw_exponential(state):  # type: ignore[no-untyped-def]
+    """Draw from the exponential distribution with mean 1: `Generator.standard_exponential()`."""
+    while True:
+        word = _draw_word(state) >> np.uint64(3)
+        layer, share = word & _LAYER, word >> _LAYER_BITS
+        x = np.float64(share) * _EXPONENTIAL_WIDTHS[layer]
+        if share < _EXPONENTIAL_BOUNDS[layer]:
+            return x
+        if layer == 0:
+            return _EXPONENTIAL_TAIL - math.log1p(-draw_share(state))
+        upper, lower = _EXPONENTIAL_HEIGHTS[layer - _ONE], _EXPONENTIAL_HEIGHTS[layer]
+        if (upper - lower) * draw_share(state) + lower < math.exp(-x):
+            return x
+
+
+@njit(cache=True, nogil=True)
+def draw_laplace(state, scale):  # type: ignore[no-untyped-def]
+    """Draw from the Laplace distribution about 0: `Generator.laplace(0.0, scale)`."""
+    while True:
+        share = draw_share(state)
+        if share >= 0.5:
+            return 0.0 - scale * math.log(2.0 - share - share)
+        if share > 0.0:
+            return 0.0 + scale * math.log(share + share)
+
+
 def episode_seed(rng: np.random.Generator) -> int:
     """Draw the seed of the next episode from an environment's generator."""
+    bits = rng.bit_generator
+    if isinstance(bits, np.random.PCG64):
+        # The same number in a fifth of the time.
+        return int(bits.random_raw()) >> 1
     return int(rng.integers(0, 2**63))

@@ -205,14 +205,16 @@ class BatchedVectorEnv(Resumable, gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
                 "options={'reset_mask': mask}, or use another autoreset_mode"
             )
         world = self.world
-        world.step(values, ~waiting)
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP and waiting.any():
+            self._step_and_restart(values, waiting)
+        else:
+            world.step(values, ~waiting)
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
         if self._step_limit is not None:
             truncated |= world.steps >= self._step_limit
         rewards = world.reward.copy()
         all_rows = np.ones(self.num_envs, np.bool_)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP and waiting.any():
-            self._restart(waiting)
             rewards[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
         ended = terminated | truncated
         self._over = ended
@@ -262,9 +264,18 @@ class BatchedVectorEnv(Resumable, gym.vector.VectorEnv[Any, Any, NDArray[Any]]):
             recorder.record()
 
     def _restart(self, chosen: Mask) -> None:
-        rows = np.flatnonzero(chosen).tolist()
-        self.world.reset(rows, [episode_seed(self._generators[row]) for row in rows])
+        self.world.reset(*self._drawn_seeds(chosen))
         self._over = self._over & ~chosen
+
+    def _step_and_restart(self, actions: Array, waiting: Mask) -> None:
+        """Advance the running rows and start new episodes in the waiting ones."""
+        self.world.step(actions, ~waiting)
+        self._restart(waiting)
+
+    def _drawn_seeds(self, chosen: Mask) -> tuple[list[int], list[int]]:
+        """Return the indices of the chosen rows and the seeds of their next episodes."""
+        rows = np.flatnonzero(chosen).tolist()
+        return rows, [episode_seed(self._generators[row]) for row in rows]
 
     def _final(self, ended: Mask, observations: Any, infos: dict[str, Any]) -> dict[str, Any]:
         rows = np.full(self.num_envs, None, dtype=object)

@@ -35,11 +35,11 @@ from servotrack.baselines.leaderboard.servo_targets import (
     wave_knowledge,
     waypoint_knowledge,
 )
-from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, knocked_camera, sample_times
+from servotrack.envs.servo.episode import Episode, draw_episode, sample_times
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.streams import Stream
 from servotrack.envs.servo.targets import LEAD, PERIOD
-from servotrack.envs.streams import episode_seed
+from servotrack.envs.streams import Streams, episode_seed
 from servotrack.estimators.camera import image_jacobian
 from servotrack.estimators.rfs.bounds import expected_distance
 from servotrack.estimators.types import Array, Mask
@@ -128,7 +128,7 @@ def _group_bounds(config: ServoConfig, seeds: Sequence[int]) -> Array:
     joints = joints_above(paths, links)
     arm = arm_jacobians(joints, links)
     struck = np.array([episode.knocked_at for episode in episodes])[:, None] <= np.arange(len(times))
-    knocked = np.stack([knocked_camera(episode.camera, episode.knock) for episode in episodes])
+    knocked = np.stack([episode.knocked for episode in episodes])
     cameras = np.where(struck[..., None], knocked[:, None], cameras[:, None])
     seen_joints, seen_place = _image_slopes(cameras, links, joints, paths)
     # A lag passes the rest of the noise on later, when it counts as known. Play in the gears may swallow it.
@@ -178,7 +178,7 @@ def _unseen(config: ServoConfig, seed: int, episode: Episode, count: int) -> Mas
     """Mask of the frames that are lost or outliers, shape (count,)."""
     lost = episode.dropped.copy() if len(episode.dropped) else np.zeros(count, dtype=np.bool_)
     if config.outlier_rate > 0.0:
-        lost |= ServoStreams(seed)[Stream.OUTLIER].random((count, 1))[:, 0] < config.outlier_rate
+        lost |= Streams(seed)[Stream.OUTLIER].random((count, 1))[:, 0] < config.outlier_rate
     return lost
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
 from servotrack.envs.servo.targets import LEAD, PERIOD, reachable_place, solvable
-from servotrack.envs.streams import Streams
+from servotrack.envs.streams import draw_share, draw_uniform, start_stream
 from servotrack.envs.track.pedestrians.movement import gait
-from servotrack.envs.track.pedestrians.social_force import LEG_NUMBERS, Plans, Progress, drive
+from servotrack.envs.track.pedestrians.social_force import DUE, LEG_NUMBERS, PAUSE, UNTIL, Plans, Progress, drive
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 
@@ -64,12 +65,57 @@ class Crowd:
         return walk
 
 
-def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int) -> Array:
+class CrowdRanges(NamedTuple):
+    """Ranges that paths are drawn from, see `FollowConfig`.
+
+    Attributes:
+        people: Number of people P.
+        companions: Number of people who walk with the person to follow.
+        pace: Range of the walking speeds, m/s.
+        crosses: Share of the others' legs that cross the person's path.
+        rests: True if legs end with a rest now and then.
+        max_joint_rate: Largest joint rate of the arm, rad/s.
+        first: First sample at which the arm must be able to follow.
+    """
+
+    people: int
+    companions: int
+    pace: tuple[float, float]
+    crosses: float
+    rests: bool
+    max_joint_rate: float
+    first: int
+
+
+def crowd_ranges_of(config: FollowConfig) -> CrowdRanges:
+    """Return the ranges that a configuration draws paths from."""
+    return CrowdRanges(
+        people=config.people,
+        companions=config.companions,
+        pace=config.pace,
+        crosses=1.0 if config.script == "crossings" else _CROSSING_SHARE,
+        rests=config.script == "plaza",
+        max_joint_rate=config.max_joint_rate,
+        first=LEAD + config.warmup,
+    )
+
+
+@njit(cache=True, nogil=True)
+def start_crowd_streams(seed):  # type: ignore[no-untyped-def]
+    """Start the streams of the person to follow and of the others, (2, 4) uint64."""
+    states = np.empty((2, 4), np.uint64)
+    start_stream(seed, FollowStream.PERSON.value, states[0])
+    start_stream(seed, FollowStream.OTHERS.value, states[1])
+    return states
+
+
+@njit(cache=True, nogil=True)
+def draw_paths(ranges, states, links, count):  # type: ignore[no-untyped-def]
     """Draw the waypoints of all people and simulate them until the person to follow leaves the arm's workspace.
 
     Args:
-        config: Parameters of the world.
-        streams: Random streams of the episode.
+        ranges: Ranges, `CrowdRanges`.
+        states: Streams of the person to follow and of the others, (2, 4).
         links: Link lengths. The person to follow walks only where the arm can reach. Shape (2,), m.
         count: Number of samples K.
 
@@ -77,58 +123,69 @@ def draw_paths(config: FollowConfig, streams: Streams, links: Array, count: int)
         Positions and velocities like `Crowd.paths`. Rows after the arm could not follow are zeros; such an episode is
             drawn again.
     """
-    rng = streams[FollowStream.PERSON]
-    people, party = config.people, np.arange(config.people)
-    pace = rng.uniform(*config.pace, people)
-    own = _draw_own_waypoints(rng, config, links, float(pace[0]), count)
-    starts, plans = [own[0]], [own[1:]]
-    for _ in range(config.companions):
-        angle = rng.uniform(0.0, 2.0 * math.pi)
-        aside = _COMPANION_DISTANCE * np.array([math.cos(angle), math.sin(angle)])
-        index = len(starts)
-        party[index], pace[index] = 0, pace[0]
-        starts.append(own[0] + aside)
-        plans.append(own[1:] + aside)
-    rng = streams[FollowStream.OTHERS]
+    people, party, state, others = ranges.people, np.arange(ranges.people), states[0], states[1]
+    pace, starts = np.empty(people), np.empty((people, 2))
+    for i in range(people):
+        pace[i] = draw_uniform(state, ranges.pace[0], ranges.pace[1])
+    own = _draw_own_waypoints(state, ranges, links, pace[0], count)
+    longest = math.ceil(_PLAN_MARGIN * count / _SHORTEST_LEG_SAMPLES)
+    plans, number = np.empty((people, max(longest, len(own)), 2)), np.empty(people, np.int64)
+    starts[0], number[0], known = own[0], len(own) - 1, 1
+    plans[0, : number[0]] = own[1:]
+    for _ in range(ranges.companions):
+        angle = draw_uniform(state, 0.0, 2.0 * math.pi)
+        aside = _COMPANION_DISTANCE * math.cos(angle), _COMPANION_DISTANCE * math.sin(angle)
+        party[known], pace[known], number[known] = 0, pace[0], number[0]
+        for axis in range(2):
+            starts[known, axis] = own[0, axis] + aside[axis]
+            plans[known, : number[0], axis] = own[1:, axis] + aside[axis]
+        known += 1
     center, nominal = 0.9 * links, np.empty((count, 2))
     _walk_along(own, pace[0] * PERIOD, nominal)
-    crosses = 1.0 if config.script == "crossings" else _CROSSING_SHARE
-    longest = math.ceil(_PLAN_MARGIN * count / _SHORTEST_LEG_SAMPLES)
-    while len(starts) < people:
-        start = _free_place(rng.random((_TRIES, 2)), center, np.array(starts))
-        ways = np.empty((longest, 2))
-        number = _fill_other_waypoints(
-            rng.random((longest, 4)), crosses, start, nominal, center, pace[len(starts)], ways
-        )
-        plans.append(ways[:number])
-        starts.append(start)
-    legs = np.full((people, max(len(plan) for plan in plans), LEG_NUMBERS), math.nan)
-    legs[:, :, 2:4], legs[:, :, 4] = 0.0, -1.0
-    for row, plan in enumerate(plans):
-        legs[row, : len(plan), :2] = plan
-    rests = rng.random(legs.shape[:2]) < _REST_PROBABILITY
-    pauses = rng.uniform(*_REST_SAMPLES, legs.shape[:2])
-    if config.script == "plaza":
-        # Companions rest together.
-        together = party == 0
-        rests[together], pauses[together] = rests[0], pauses[0]
-        legs[:, :, 2] = np.where(rests, pauses, 0.0)
-    wander = np.stack(
-        [rng.uniform(0.0, _WANDER, people), rng.uniform(0.02, 0.08, people), rng.uniform(0.0, 2 * math.pi, people)],
-        axis=-1,
-    )
-    number = np.array([len(plan) for plan in plans], dtype=np.int64)
+    for i in range(known, people):
+        starts[i] = _free_place(_draw_shares(others, _TRIES, 2), center, starts[:i])
+        shares = _draw_shares(others, longest, 4)
+        number[i] = _fill_other_waypoints(shares, ranges.crosses, starts[i], nominal, center, pace[i], plans[i])
+    legs = np.full((people, number.max(), LEG_NUMBERS), math.nan)
+    legs[:, :, PAUSE : UNTIL + 1], legs[:, :, DUE] = 0.0, -1.0
+    for i in range(people):
+        legs[i, : number[i], :PAUSE] = plans[i, : number[i]]
+    rests, pauses = _draw_shares(others, people, legs.shape[1]), _draw_shares(others, people, legs.shape[1])
+    if ranges.rests:
+        for i in range(people):
+            # Companions rest together.
+            same = 0 if party[i] == 0 else i
+            for k in range(legs.shape[1]):
+                if rests[same, k] < _REST_PROBABILITY:
+                    legs[i, k, PAUSE] = _REST_SAMPLES[0] + (_REST_SAMPLES[1] - _REST_SAMPLES[0]) * pauses[same, k]
+    wander = np.empty((people, 3))
+    for column, low, high in ((0, 0.0, _WANDER), (1, 0.02, 0.08), (2, 0.0, 2.0 * math.pi)):
+        for i in range(people):
+            wander[i, column] = draw_uniform(others, low, high)
     paths = np.zeros((count, people, 4))
     _simulate(
-        np.array(starts), legs, number, pace, wander, party, PERIOD, LEAD + config.warmup, links, config.max_joint_rate,
-        paths,
+        starts, legs, number, pace, wander, party, PERIOD, ranges.first, links, ranges.max_joint_rate, paths,
     )  # fmt: skip
     return paths
 
 
-def walking_crowd(paths: Array, streams: Streams) -> Crowd:
-    """Return the crowd that walks along these paths (K, P, 4), with its gait."""
-    return Crowd(paths, streams[FollowStream.OTHERS].uniform(0.0, 2.0 * math.pi, (paths.shape[1],)))
+@njit(cache=True, nogil=True)
+def draw_first_phases(states, people):  # type: ignore[no-untyped-def]
+    """Draw the first phase of each person's gait, (P,) rad, after their paths."""
+    phases = np.empty(people)
+    for i in range(people):
+        phases[i] = draw_uniform(states[1], 0.0, 2.0 * math.pi)
+    return phases
+
+
+@njit(cache=True, nogil=True)
+def _draw_shares(state, rows, columns):  # type: ignore[no-untyped-def]
+    """Draw from [0, 1), shape (rows, columns)."""
+    shares = np.empty((rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            shares[i, j] = draw_share(state)
+    return shares
 
 
 @njit(cache=True, nogil=True)
@@ -145,13 +202,14 @@ def _move_bodies(paths, first_phase, walk):  # type: ignore[no-untyped-def]
             walk[k, i, 0], walk[k, i, 1], walk[k, i, 2] = body[k, 0], body[k, 1] + first_phase[i], body[k, 2]
 
 
-def _draw_own_waypoints(rng: np.random.Generator, config: FollowConfig, links: Array, pace: float, count: int) -> Array:
+@njit(cache=True, nogil=True)
+def _draw_own_waypoints(state, ranges, links, pace, count):  # type: ignore[no-untyped-def]
     """Waypoints of the person to follow, start first. The arm can follow the straight legs between them. (k, 2) m."""
     left = _PLAN_MARGIN * pace * count * PERIOD
     places = np.empty((math.ceil(_PLAN_MARGIN * count * PERIOD) + 2, 2))
-    places[0] = _first_place(rng.random((_TRIES, 2)), links)
-    shares = rng.random((len(places), _TRIES, 2))
-    return places[: _fill_own_waypoints(shares, links, pace, left, config.max_joint_rate, places)]
+    places[0] = _first_place(_draw_shares(state, _TRIES, 2), links)
+    shares = _draw_shares(state, len(places) * _TRIES, 2).reshape(len(places), _TRIES, 2)
+    return places[: _fill_own_waypoints(shares, links, pace, left, ranges.max_joint_rate, places)]
 
 
 @njit(cache=True, nogil=True)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import numpy as np
+
 from servotrack.envs.follow.config import FollowConfig
-from servotrack.envs.follow.crowd import Crowd, draw_paths, walking_crowd
+from servotrack.envs.follow.crowd import Crowd, crowd_ranges_of, draw_first_phases, draw_paths, start_crowd_streams
 from servotrack.envs.follow.outfits import Outfits, draw_outfits, hidden_people
-from servotrack.envs.servo.episode import Episode, ServoStreams, draw_episode, samples
+from servotrack.envs.servo.episode import Episode, draw_episode, samples
+from servotrack.envs.streams import Streams
 from servotrack.estimators.types import Array, Mask
 
 
@@ -36,14 +39,15 @@ def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
     Raises:
         ValueError: Raised by `servotrack.envs.servo.episode.draw_episode`.
     """
-    drawn: list[Array] = []
+    ranges, states, drawn = crowd_ranges_of(config), start_crowd_streams(seed), np.zeros((0, config.people, 4))
 
-    def motion(streams: ServoStreams, links: Array) -> Array:
-        drawn[:] = [draw_paths(config, streams, links, samples(config))]
-        return drawn[0][:, 0]
+    def motion(_: Streams, links: Array) -> Array:
+        nonlocal drawn
+        drawn = draw_paths(ranges, states, links, samples(config))
+        return drawn[:, 0]
 
     servo = draw_episode(config, seed, motion)
-    crowd = walking_crowd(drawn[0], servo.streams)
+    crowd = Crowd(drawn, draw_first_phases(states, config.people))
     outfits = draw_outfits(config, servo.streams, crowd)
     parts = {field.name: getattr(servo, field.name) for field in fields(Episode)}
     return FollowEpisode(**parts, crowd=crowd, outfits=outfits, hidden=hidden_people(crowd, outfits))

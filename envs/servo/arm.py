@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
 from servotrack.envs.servo.targets import START
@@ -49,6 +48,8 @@ class Rods(NamedTuple):
 
 LOWER_MASS = LINK_MASS + CAMERA_MASS
 """Mass of the second rod with the camera at its far end, kg."""
+SQUARE = 2.0
+"""Exponent of squares, see `rods_at_rest`."""
 
 
 @njit(cache=True, nogil=True)
@@ -57,28 +58,18 @@ def lower_center(l2):  # type: ignore[no-untyped-def]
     return (LINK_MASS * l2 / 2 + CAMERA_MASS * l2) / LOWER_MASS
 
 
-def squared_offsets(links: Array) -> Array:
-    """Squared distances of the second rods' centers of gravity from their middles and from their cameras.
-
-    These are powers of Python floats. Compiled code and NumPy multiply instead, which rounds otherwise now and then.
+@njit(cache=True, nogil=True)
+def rods_at_rest(l1, l2, two):  # type: ignore[no-untyped-def]
+    """Return the `Rods` of an arm at the start pose.
 
     Args:
-        links: Link lengths, shape (n, 2), m.
-
-    Returns:
-        Squares, shape (n, 2), m^2.
+        l1: Length of the first link, m.
+        l2: Length of the second link, m.
+        two: Exponent of squares, `SQUARE`. It is an argument because compiled code multiplies where it is a constant,
+            and a product rounds otherwise than the power of Python floats now and then.
     """
-    out = np.empty((len(links), 2))
-    for row, (_, l2) in enumerate(links.tolist()):
-        center = lower_center.py_func(l2)
-        out[row] = (center - l2 / 2) ** 2, (l2 - center) ** 2
-    return out
-
-
-@njit(cache=True, nogil=True)
-def rods_at_rest(l1, l2, from_middle, from_camera):  # type: ignore[no-untyped-def]
-    """Return the `Rods` of an arm at the start pose: link lengths, m, and a row of `squared_offsets`, m^2."""
     center = lower_center(l2)
+    from_middle, from_camera = math.pow(center - l2 / 2, two), math.pow(l2 - center, two)
     moment = LINK_MASS * (l2 * l2 / 12 + from_middle) + CAMERA_MASS * from_camera
     theta1, theta2 = START[0], START[0] + START[1]
     c1, s1, c2, s2 = math.cos(theta1), math.sin(theta1), math.cos(theta2), math.sin(theta2)

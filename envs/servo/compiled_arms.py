@@ -20,7 +20,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-from servotrack.envs.servo.arm import PIVOT_BIAS, rods_at_rest, squared_offsets
+from servotrack.envs.servo.arm import PIVOT_BIAS, SQUARE, rods_at_rest
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.envs.state import State, entry
@@ -58,6 +58,7 @@ SOLVER = np.dtype(
         ("high", np.float64, 2),
         ("pivot", np.float64),
         ("stop", np.float64),
+        ("two", np.float64),
     ],
     align=True,
 )
@@ -65,7 +66,7 @@ SOLVER = np.dtype(
 
 `substep`, duration of a substep, s; `substeps` per control period; `iterations` per substep; `impulse`, largest of a
 motor in a substep, N m s; `low` and `high` joint stops, rad; `pivot` and `stop`, shares of the position errors of
-pivots and stops that are corrected in a substep.
+pivots and stops that are corrected in a substep; `two`, see `rods_at_rest`.
 """
 
 
@@ -79,6 +80,7 @@ def solver(config: ServoConfig) -> NDArray[np.void]:
     constants["iterations"], constants["impulse"] = config.solver_iterations, config.max_motor_torque * substep
     constants["low"], constants["high"] = JOINT_LOW, JOINT_HIGH
     constants["pivot"], constants["stop"] = 1.0 - PIVOT_BIAS**substep, 1.0 - stop_bias**substep
+    constants["two"] = SQUARE
     return constants
 
 
@@ -103,9 +105,14 @@ class CompiledArms:
 
     def reset(self, rows: Labels, links: Array) -> None:
         """Restart the arms of rows (n,) with links (n, 2) m at the start pose. The other arms are not changed."""
-        _start(rows, links, squared_offsets(links), self.blocks, self.angles)
-        self._started[rows] = True
-        self._waiting = not self._started.all()
+        _start(rows, links, self.blocks, self.angles, self.solver)
+        self.note_started(rows)
+
+    def note_started(self, rows: Labels) -> None:
+        """Note that the arms of rows (n,) were restarted, by `reset` or by a kernel that calls `start_arm`."""
+        if self._waiting:
+            self._started[rows] = True
+            self._waiting = not self._started.all()
 
     def _lane(self, row: int) -> Array:
         """View of all quantities of an arm, shape (fields,)."""
@@ -158,22 +165,35 @@ class CompiledArms:
 
 
 @njit(cache=True, nogil=True)
-def _start(rows, links, squares, blocks, angles):  # type: ignore[no-untyped-def]
+def _start(rows, links, blocks, angles, solver):  # type: ignore[no-untyped-def]
     """Write arms at rest into their lanes."""
     for n in range(len(rows)):
-        row = rows[n]
-        s, k = blocks[row // LANES], row % LANES
-        rods = rods_at_rest(links[n, 0], links[n, 1], squares[n, 0], squares[n, 1])
-        for field in range(_FIELDS):
-            s[field * LANES + k] = 0.0
-        s[_X1 + k], s[_Y1 + k] = rods.positions[0]
-        s[_X2 + k], s[_Y2 + k] = rods.positions[1]
-        s[_A1 + k], s[_A2 + k] = rods.angles
-        i1, i2 = 1.0 / rods.moments[0], 1.0 / rods.moments[1]
-        s[_M1 + k], s[_I1 + k], s[_M2 + k], s[_I2 + k] = 1.0 / rods.masses[0], i1, 1.0 / rods.masses[1], i2
-        s[_HALF + k], s[_CENTER + k] = rods.half, rods.center
-        s[_FELT1 + k], s[_FELT2 + k] = 1.0 / i1, 1.0 / (i1 + i2)
-        angles[row, 0], angles[row, 1] = START[0], START[1]
+        start_arm(rows[n], links[n], blocks, angles, solver[0])
+
+
+@njit(cache=True, nogil=True)
+def start_arm(row, links, blocks, angles, constants):  # type: ignore[no-untyped-def]
+    """Write an arm at rest into its lane.
+
+    Args:
+        row: Index of the arm.
+        links: Link lengths of this arm, (2,) m.
+        blocks: Quantities of all arms, (blocks, fields x LANES).
+        angles: Joint angles of all arms, the row overwritten, (N, 2) rad.
+        constants: Constants of the solver, a record `SOLVER`.
+    """
+    s, k = blocks[row // LANES], row % LANES
+    rods = rods_at_rest(links[0], links[1], constants.two)
+    for field in range(_FIELDS):
+        s[field * LANES + k] = 0.0
+    s[_X1 + k], s[_Y1 + k] = rods.positions[0]
+    s[_X2 + k], s[_Y2 + k] = rods.positions[1]
+    s[_A1 + k], s[_A2 + k] = rods.angles
+    i1, i2 = 1.0 / rods.moments[0], 1.0 / rods.moments[1]
+    s[_M1 + k], s[_I1 + k], s[_M2 + k], s[_I2 + k] = 1.0 / rods.masses[0], i1, 1.0 / rods.masses[1], i2
+    s[_HALF + k], s[_CENTER + k] = rods.half, rods.center
+    s[_FELT1 + k], s[_FELT2 + k] = 1.0 / i1, 1.0 / (i1 + i2)
+    angles[row, 0], angles[row, 1] = START[0], START[1]
 
 
 @njit(cache=True, nogil=True)

@@ -12,6 +12,7 @@ from servotrack.envs.actions import check_actions
 from servotrack.envs.arguments import available_render_modes
 from servotrack.envs.servo.engine import chosen_engine
 from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
+from servotrack.envs.servo.records import PLACES
 from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld
 from servotrack.envs.single_env import SingleEnv
@@ -27,6 +28,14 @@ METADATA: dict[str, Any] = {
     "render_modes": available_render_modes(),
     "render_fps": round(1 / PERIOD),
 }
+
+# Places of what is observed and reported in a sample's numbers.
+_JOINT_ANGLES, _FEATURES, _VISIBLE, _FRAME_TIME, _TIME, _TOOL = (
+    PLACES[name] for name in ("joint_angles", "features", "visible", "frame_time", "time", "tool")
+)
+_TRACKING_ERROR, _FEATURE_ERROR = PLACES["tracking_error"].start, PLACES["feature_error"].start
+_TARGET = slice(PLACES["target"].start, PLACES["target"].start + 2)
+_TARGET_VELOCITY = slice(_TARGET.stop, PLACES["target"].stop)
 
 
 def action_space() -> gym.spaces.Box:
@@ -180,32 +189,32 @@ class UncalibServoEnv(SingleEnv):
         return feature_space(self.config)
 
     def _observe(self) -> Observation:
-        world = self.world
+        numbers = self.world.newest()
         return {
-            "joint_angles": world.joint_angles[0].copy(),
-            "features": world.features[0].copy(),
-            "goal": world.goal[0].copy(),
-            "visible": world.visible[:1].copy(),
-            "frame_time": world.frame_time[:1].copy(),
-            "time": world.time[:1].copy(),
+            "joint_angles": numbers[_JOINT_ANGLES],
+            "features": numbers[_FEATURES],
+            "goal": self.world.goal[0].copy(),
+            "visible": numbers[_VISIBLE],
+            "frame_time": numbers[_FRAME_TIME],
+            "time": numbers[_TIME],
         }
 
     def _checked(self, action: Any) -> Array:
         return check_actions(action, (2,))
 
     def _info(self) -> dict[str, Any]:
-        world = self.world
-        error = float(world.tracking_error[0])
+        numbers = self.world.newest()
+        error = float(numbers[_TRACKING_ERROR])
         return {
             "tracking_error": error,
-            "feature_error": float(world.feature_error[0]),
+            "feature_error": float(numbers[_FEATURE_ERROR]),
             "success": error < SUCCESS_DISTANCE,
             "is_success": error < SUCCESS_DISTANCE,
             "truth": {
-                "joint_angles": world.joints[0].copy(),
-                "tool": world.tool[0].copy(),
-                "target": world.target[0, :2].copy(),
-                "target_velocity": world.target[0, 2:].copy(),
+                "joint_angles": self.world.joints[0].copy(),
+                "tool": numbers[_TOOL],
+                "target": numbers[_TARGET],
+                "target_velocity": numbers[_TARGET_VELOCITY],
             },
         }
 

@@ -267,16 +267,6 @@ def draw_layouts(rows, seeds, ranges, fixed, constants, paths):  # type: ignore[
     return -1
 
 
-@njit(cache=True, nogil=True)
-def draw_gains(rows, seeds, half, constants):  # type: ignore[no-untyped-def]
-    """Draw the factors on the joint rates, 1 - half to 1 + half, of some rows' episodes. See `draw_layouts`."""
-    state = np.empty(4, np.uint64)
-    for n in range(len(rows)):
-        start_stream(seeds[n], Stream.ACTUATION_GAIN.value, state)
-        for j in range(2):
-            constants[rows[n]].gain[j] = 1.0 + _around(state, half)
-
-
 def no_layout(config: ServoConfig) -> ValueError:
     """Error of ranges that contradict each other."""
     return ValueError(

@@ -14,7 +14,7 @@ import pymunk
 import pymunk.batch
 from numpy.typing import NDArray
 
-from servotrack.envs.servo.arm import PIVOT_BIAS, Rods, rods_at_rest, squared_offsets
+from servotrack.envs.servo.arm import PIVOT_BIAS, SQUARE, Rods, rods_at_rest
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, PERIOD, START
 from servotrack.envs.state import State, entry
@@ -113,8 +113,8 @@ class PymunkArms:
 
     def reset(self, rows: Labels, links: Array) -> None:
         """Restart the arms of rows (n,) with links (n, 2) m at the start pose. The other arms are not changed."""
-        for row, own, squares in zip(rows.tolist(), links.tolist(), squared_offsets(links).tolist(), strict=True):
-            self._restart(row, own, rods_at_rest(*own, *squares))
+        for row, own in zip(rows.tolist(), links.tolist(), strict=True):
+            self._restart(row, own, rods_at_rest(*own, SQUARE))
 
     def _restart(self, row: int, links: list[float], rods: Rods) -> None:
         arm = self._arms[row]

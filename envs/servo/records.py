@@ -69,6 +69,16 @@ others as attributes of `ServoWorld`.
 """
 
 
+def _places(name: str) -> slice:
+    assert SAMPLE.fields is not None
+    field, offset = SAMPLE.fields[name][:2]
+    return slice(offset // 8, (offset + field.itemsize) // 8)
+
+
+PLACES = {name: _places(name) for name in SAMPLE.names or () if SAMPLE[name].base == np.float64}
+"""Place of each field of a sample that holds floats, if the sample is read as a row of numbers of 64 bits."""
+
+
 SETTINGS = np.dtype(
     [
         ("max_joint_rate", np.float64),

@@ -3,18 +3,38 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from servotrack.envs.servo.compiled_arms import LANES, move_blocks
+from servotrack.envs.servo.compiled_arms import LANES, move_blocks, start_arm
+from servotrack.envs.servo.layout import Ranges, draw_layouts
+from servotrack.envs.servo.noise import NoiseRanges, draw_noises
 from servotrack.envs.servo.records import RING
-from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD
+from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD, START
 from servotrack.estimators.camera import project
 from servotrack.estimators.compilation import njit
 
 _REWARD_SCALE = 0.002  # tracking error at which the reward's slope becomes logarithmic, m
 _REWARD_RANGE = 2.0  # tracking error from which on the reward is 0, m
 _REWARD_LOGARITHM = math.log1p(_REWARD_RANGE / _REWARD_SCALE)
+
+
+class EpisodeDraws(NamedTuple):
+    """Parameters that episodes are drawn and begun with.
+
+    Attributes:
+        ranges: Ranges of layouts, of a target that moves along waves.
+        fixed: True takes the first layout, see `never_rejected`.
+        noise: Ranges of noise.
+        first_sample: Sample before an episode's first one, (1,) record `SAMPLE`.
+    """
+
+    ranges: Ranges
+    fixed: bool
+    noise: NoiseRanges
+    first_sample: NDArray[np.void]
 
 
 @njit(cache=True, nogil=True)
@@ -51,6 +71,42 @@ def advance(  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         if rows[i]:
             _sense(i, settings[0], constants[i], tables, joints[i], history[i], samples[i])
+
+
+@njit(cache=True, nogil=True)
+def begin(  # type: ignore[no-untyped-def]
+    rows, seeds, draws, blocks, solver, settings, constants, tables, joints, history, samples
+):
+    """Draw new episodes, restart their arms and observe them: a whole reset in one call.
+
+    Args:
+        rows: Indices of the rows, (n,).
+        seeds: Seed of each of these rows' episodes, below 2^63, (n,).
+        draws: Parameters of the draws, `EpisodeDraws`.
+        blocks: See `advance`.
+        solver: See `advance`.
+        settings: See `advance`.
+        constants: Overwritten in these rows, see `advance`.
+        tables: Overwritten in these rows, see `advance`.
+        joints: See `advance`.
+        history: See `advance`.
+        samples: See `advance`.
+
+    Returns:
+        -1, or the first row without a solvable layout.
+    """
+    failed = draw_layouts(rows, seeds, draws.ranges, draws.fixed, constants, tables.paths)
+    if failed >= 0:
+        return failed
+    draw_noises(rows, seeds, draws.noise, constants, tables)
+    for n in range(len(rows)):
+        row = rows[n]
+        start_arm(row, constants[row].links, blocks, joints, solver[0])
+        for k in range(RING):
+            history[row, k, 0], history[row, k, 1] = START[0], START[1]
+        samples[row] = draws.first_sample[0]
+        _sense(row, settings[0], constants[row], tables, joints[row], history[row], samples[row])
+    return failed
 
 
 @njit(cache=True, nogil=True)

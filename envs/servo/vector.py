@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from servotrack.envs.actions import check_actions
@@ -78,6 +79,12 @@ class UncalibServoVectorEnv(BatchedVectorEnv):
 
     def _observe(self) -> Observation:
         return feature_observations(self.world)
+
+    def _step_and_restart(self, actions: Array, waiting: Mask) -> None:
+        # In one go, so that threads share it.
+        rows, seeds = self._drawn_seeds(waiting)
+        self.world.step(actions, ~waiting, np.array(rows), np.array(seeds))
+        self._over = self._over & ~waiting
 
     def _checked(self, actions: Any) -> Array:
         return check_actions(actions, (self.num_envs, 2))

@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from servotrack.envs.servo.compiled_arms import CompiledArms
+from servotrack.envs.servo.compiled_arms import LANES, CompiledArms
 from servotrack.envs.servo.engine import ENGINES
-from servotrack.envs.servo.episode import (
-    NEVER,
-    Episode,
-    Noise,
-    ServoStreams,
-    draw_episode,
-    draw_noise,
-    knocked_camera,
-    loses_frames,
-    samples,
-)
-from servotrack.envs.servo.layout import draw_gains, draw_layouts, never_rejected, no_layout, ranges_of
+from servotrack.envs.servo.episode import Episode, draw_episode, empty_tables
+from servotrack.envs.servo.layout import draw_layouts, never_rejected, no_layout, ranges_of
 from servotrack.envs.servo.levels import ServoConfig
-from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, SETTINGS, Tables
-from servotrack.envs.servo.sensing import advance, command, sense
+from servotrack.envs.servo.noise import NEVER, draw_noises, noise_ranges_of
+from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, SETTINGS
+from servotrack.envs.servo.sensing import EpisodeDraws, advance, begin, command, sense
 from servotrack.envs.servo.targets import LEAD, PERIOD, START
 from servotrack.envs.servo.threads import Threads
 from servotrack.envs.state import State, entry, part, put, taken
@@ -36,6 +27,7 @@ LOST_SAMPLES = 20
 """An episode ends after this many consecutive samples with the target out of view."""
 _LEAST_EPISODES = 4
 """Least number of episodes that a thread draws."""
+_NO_ROWS = np.zeros(0, np.int64)
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
 
@@ -90,7 +82,6 @@ class ServoWorld:
         self.count = count
         self.engine = engine
         self._threads = Threads(threads)
-        length = samples(config)
         self.arms = ENGINES[engine](config, count)
         self.joints = self.arms.angles
         self.seeds, self.begun = np.zeros(count, np.int64), np.zeros(count, np.int64)
@@ -101,21 +92,15 @@ class ServoWorld:
             self._constants[name] = 1.0
         self._constants["knocked_at"] = NEVER
         self._name_fields()
-        self.paths = np.zeros((count, length, 4))
-        self._tables = Tables(
-            paths=self.paths,
-            feature_noise=np.zeros((count, length if config.pixel_noise or config.outlier_rate else 0, 2)),
-            rate_noise=np.zeros((count, length if any(config.actuation_noise) else 0, 2)),
-            encoder_noise=np.zeros((count, length if any(config.encoder_noise) else 0, 2)),
-            dropped=np.zeros((count, length if loses_frames(config) else 0), np.bool_),
-        )
+        self._tables = empty_tables(config, count)
+        self.paths = self._tables.paths
         self.history = np.zeros((count, RING, 2))
         """True joint angles of the last samples, a ring buffer indexed by table index modulo RING, (N, RING, 2) rad."""
         self._all_rows = np.ones(count, np.bool_)
-        self._ranges, self._fixed = ranges_of(config), never_rejected(config)
-        noisy_tables = any(table.shape[1] for table in self._tables[1:])
-        drawn = config.latency[0] != config.latency[1] or config.encoder_age[0] != config.encoder_age[1]
-        self._noisy = noisy_tables or drawn or config.knock > 0.0
+        first_sample = np.zeros(1, SAMPLE)
+        first_sample["features"] = config.camera_size / 2.0
+        first_sample["frame_time"] = -(LEAD + config.warmup) * PERIOD
+        self._draws = EpisodeDraws(ranges_of(config), never_rejected(config), noise_ranges_of(config), first_sample)
         self._settings = np.zeros(1, SETTINGS)
         for name, value in {
             "max_joint_rate": config.max_joint_rate,
@@ -143,6 +128,7 @@ class ServoWorld:
         self.reward, self.terminated, self.truncated = sample["reward"], sample["terminated"], sample["truncated"]
         self.tracking_error, self.feature_error = sample["tracking_error"], sample["feature_error"]
         self.tool, self.target = sample["tool"], sample["target"]
+        self._numbers = sample.view(np.float64).reshape(self.count, -1)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes for a copy, without the views of the records."""
@@ -153,6 +139,13 @@ class ServoWorld:
         """Take over the attributes of the copied world."""
         self.__dict__.update(attributes)
         self._name_fields()
+
+    def newest(self, row: int = 0) -> Array:
+        """Return a copy of a row's newest sample as numbers; `PLACES` has the place of each field.
+
+        A single environment takes its observation from slices of it, in two thirds of the time of copies.
+        """
+        return self._numbers[row].copy()
 
     def get_state(self) -> State:
         """Return the exact state: the episodes' seeds, and what has happened since their resets."""
@@ -187,97 +180,127 @@ class ServoWorld:
         put(self, ("history",), state)
         self.arms.set_state(moved, self.links)
 
-    def reset(self, rows: Sequence[int], seeds: Sequence[int]) -> None:
+    @property
+    def _draws_compiled(self) -> bool:
+        """True if compiled code draws whole episodes, path included."""
+        return self._draws.ranges.kind >= 0
+
+    def reset(self, rows: Sequence[int] | Labels, seeds: Sequence[int] | Labels) -> None:
         """Start new episodes in some rows. The other rows are not changed.
 
         Args:
             rows: Indices of the rows, 0 to N - 1.
             seeds: Episode seed of each of these rows, non-negative integers.
         """
-        moved = np.zeros(self.count, np.bool_)
-        moved[rows] = True
-        self._begin(np.asarray(rows, np.int64), np.asarray(seeds, np.int64))
-        self._before_sensing()
-        self._sense(moved)
-        self._after_sensing(moved)
+        rows, seeds = np.asarray(rows, np.int64), np.asarray(seeds, np.int64)
+        chosen = np.zeros(self.count, np.bool_)
+        chosen[rows] = True
+        if isinstance(self.arms, CompiledArms) and self._draws_compiled:
+            self._threads.share(self._beginning(self.arms, rows, seeds), len(rows), _LEAST_EPISODES)
+            self._note_begun(rows, seeds)
+        else:
+            self._begin(rows, seeds)
+            self._note_begun(rows, seeds)
+            self._before_sensing()
+            self._sense(chosen)
+        self._after_sensing(chosen)
 
     def _begin(self, rows: Labels, seeds: Labels) -> None:
         """Load new episodes into rows, without observing them."""
         self._draw(rows, seeds)
-        self.seeds[rows] = seeds
-        self.begun[rows] += 1
         self.arms.reset(rows, self.links[rows])
         self.history[rows] = START
-        started = np.zeros((), SAMPLE)
-        started["features"] = self.config.camera_size / 2.0
-        started["frame_time"] = -(LEAD + self.config.warmup) * PERIOD
-        self._samples[rows] = started
+        self._samples[rows] = self._draws.first_sample
 
     def _draw(self, rows: Labels, seeds: Labels) -> None:
         """Draw the episodes of rows into the tables."""
-        config = self.config
-        if config.target == "waypoints":
+        config, draws, constants, tables = self.config, self._draws, self._constants, self._tables
+        if not self._draws_compiled:
             for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
                 self._load(row, draw_episode(config, seed))
             return
         failed: list[int] = []
 
         def draw(first: int, last: int) -> None:
-            some = slice(first, last)
-            failed.append(draw_layouts(rows[some], seeds[some], self._ranges, self._fixed, self._constants, self.paths))
+            some, own = rows[first:last], seeds[first:last]
+            failed.append(draw_layouts(some, own, draws.ranges, draws.fixed, constants, tables.paths))
+            draw_noises(some, own, draws.noise, constants, tables)
 
         self._threads.share(draw, len(rows), _LEAST_EPISODES)
         if max(failed) >= 0:
             raise no_layout(config)
-        draw_gains(rows, seeds, config.actuation_gain, self._constants)
-        if self._noisy:
-            for row, seed in zip(rows.tolist(), seeds.tolist(), strict=True):
-                self._load_noise(row, draw_noise(config, ServoStreams(seed)))
-        else:
-            self.latency[rows] = config.latency[0]
-            self._constants["encoder_age"][rows] = config.encoder_age[0]
-            self._constants["knocked_at"][rows] = NEVER
 
     def _load(self, row: int, episode: Episode) -> None:
         """Write an episode into the tables."""
-        for name in ("links", "camera", "goal", "gain"):
+        for name in CONSTANTS.names or ():
             self._constants[name][row] = getattr(episode, name)
         self.paths[row] = episode.path
-        self._load_noise(row, episode)
+        for name, table in self._tables._asdict().items():
+            if name != "paths" and table.shape[1]:
+                table[row] = getattr(episode, name)
 
-    def _load_noise(self, row: int, noise: Noise | Episode) -> None:
-        self.latency[row], self.noise_levels[row] = noise.latency, noise.noise_levels
-        self._constants["encoder_age"][row], self._constants["knocked_at"][row] = noise.encoder_age, noise.knocked_at
-        self._constants["knocked"][row] = knocked_camera(self.cameras[row], noise.knock)
-        for name in ("feature_noise", "rate_noise", "encoder_noise", "dropped"):
-            table = getattr(self._tables, name)
-            if table.shape[1]:
-                table[row] = getattr(noise, name)
+    def _note_begun(self, rows: Labels, seeds: Labels) -> None:
+        self.seeds[rows] = seeds
+        self.begun[rows] += 1
 
-    def step(self, actions: Array, rows: Mask | None = None) -> None:
-        """Advance rows by one control period.
+    def _beginning(self, arms: CompiledArms, rows: Labels, seeds: Labels) -> Callable[[int, int], None]:
+        """Return the compiled reset of some of these rows, by their first index and the one after the last."""
+        arms.note_started(rows)
+        begun = (
+            self._draws, arms.blocks, arms.solver, self._settings, self._constants, self._tables, self.joints,
+            self.history, self._samples,
+        )  # fmt: skip
+
+        def work(first: int, last: int) -> None:
+            if begin(rows[first:last], seeds[first:last], *begun) >= 0:
+                raise no_layout(self.config)
+
+        return work
+
+    def step(
+        self, actions: Array, rows: Mask | None = None, ended: Labels = _NO_ROWS, seeds: Labels = _NO_ROWS
+    ) -> None:
+        """Advance rows by one control period, and start new episodes in others.
 
         Args:
             actions: Fractions of `max_joint_rate`, clipped to [-1, 1] joint by joint as hardware does, (N, 2).
             rows: Mask of the rows whose episode is running, (N,) bool; None for all. The other arms move too, because
                 they share the physics engine, but are not counted or observed until their reset.
+            ended: Indices of the rows that begin a new episode, none of them in `rows`, ascending, (n,).
+            seeds: Episode seed of each of these rows, (n,).
         """
         if rows is None:
             rows = self._all_rows
-        self._before_sensing()
         arms = self.arms
+        self._before_sensing()
         if isinstance(arms, CompiledArms):
             arms.check_started()
             step = (
                 arms.blocks, arms.solver, rows, actions, self._settings, self._constants, self._tables, self.joints,
                 self.history, self._samples,
             )  # fmt: skip
-            self._threads.share(lambda first, last: advance(*step, first, last), len(arms.blocks))
+            if len(ended) and self._draws_compiled:
+                beginning = self._beginning(arms, ended, seeds)
+
+                def work(first: int, last: int) -> None:
+                    advance(*step, first, last)
+                    # A thread restarts the arms of its own blocks.
+                    beginning(*np.searchsorted(ended, (first * LANES, last * LANES)).tolist())
+
+                self._threads.share(work, len(arms.blocks))
+                self._note_begun(ended, seeds)
+                rows = rows.copy()
+                rows[ended] = True
+                ended = _NO_ROWS
+            else:
+                self._threads.share(lambda first, last: advance(*step, first, last), len(arms.blocks))
         else:
             command(rows, actions, self._settings, self._constants, self._tables, self.joints, self._samples)
             arms.step(self._samples["rates"])
             self._sense(rows)
         self._after_sensing(rows)
+        if len(ended):
+            self.reset(ended, seeds)
 
     def _sense(self, rows: Mask) -> None:
         sense(rows, self._settings, self._constants, self._tables, self.joints, self.history, self._samples)

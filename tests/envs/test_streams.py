@@ -8,7 +8,19 @@ from servo_history import run, wiggle
 
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
-from servotrack.envs.streams import Streams, draw_index, draw_share, start_stream
+from servotrack.envs.servo.streams import Stream
+from servotrack.envs.servo.targets import LEAD
+from servotrack.envs.streams import (
+    Streams,
+    draw_exponential,
+    draw_index,
+    draw_laplace,
+    draw_normal,
+    draw_share,
+    episode_seed,
+    start_stream,
+)
+from servotrack.estimators.compilation import njit
 
 TABLES = (
     "links",
@@ -133,6 +145,63 @@ def test_indices_drawn_in_compiled_code_are_the_generators(count):
             assert draw_share(state) == generator.random()
         else:
             assert draw_index(state, count) == generator.integers(count)
+
+
+@njit()
+def _draw(state, kind, out):
+    for i in range(len(out)):
+        if kind == 0:
+            out[i] = draw_normal(state)
+        elif kind == 1:
+            out[i] = draw_exponential(state)
+        else:
+            out[i] = draw_laplace(state, 0.7)
+
+
+@pytest.mark.parametrize("kind", ["standard_normal", "standard_exponential", "laplace"])
+def test_noise_drawn_in_compiled_code_is_the_generators(kind):
+    # Enough draws for the tails, which one in four thousand meets.
+    state, ours = np.zeros(4, np.uint64), np.empty(1_000_000)
+    start_stream(11, 3, state)
+    _draw(state, ("standard_normal", "standard_exponential", "laplace").index(kind), ours)
+    arguments = (0.0, 0.7) if kind == "laplace" else ()
+    np.testing.assert_array_equal(ours, getattr(Streams(11)[3], kind)(*arguments, size=len(ours)))
+
+
+def test_episodes_have_the_noise_of_numpys_generators():
+    axes = {"outlier_rate": 0.1, "occlusion": 0.5, "knock": 0.4, "encoder_age": (0, 3)}
+    config = servo_config(6, **axes)
+    for seed in (3, 2**63 - 1):
+        episode, streams = draw_episode(config, seed), Streams(seed)
+        count = len(episode.path)
+        gains = streams[Stream.ACTUATION_GAIN].uniform(-config.actuation_gain, config.actuation_gain, 2)
+        np.testing.assert_array_equal(episode.gain, 1.0 + gains)
+        for index, stream, name, level in (
+            (0, Stream.ENCODER_NOISE, "encoder_noise", config.encoder_noise),
+            (1, Stream.ACTUATION_NOISE, "rate_noise", config.actuation_noise),
+        ):
+            sigma = streams[stream].uniform(*level)
+            assert episode.noise_levels[index] == sigma
+            noise = sigma * streams[stream].standard_normal((count, 2))
+            np.testing.assert_array_equal(getattr(episode, name), noise)
+        hit = streams[Stream.OUTLIER].random((count, 1)) < config.outlier_rate
+        offset = config.outlier_size * streams[Stream.OUTLIER_OFFSET].standard_normal((count, 2))
+        noise = config.pixel_noise * streams[Stream.PIXEL_NOISE].standard_normal((count, 2))
+        np.testing.assert_array_equal(episode.feature_noise, np.where(hit, offset, 0.0) + noise)
+        assert episode.latency == streams[Stream.LATENCY].integers(0, 3)
+        assert episode.encoder_age == streams[Stream.ENCODER_AGE].integers(0, 4)
+        quarter = config.horizon // 4
+        assert episode.knocked_at == LEAD + config.warmup + streams[Stream.KNOCK].integers(quarter, 3 * quarter + 1)
+        assert episode.dropped[streams[Stream.DROPOUT].random(count) < config.dropout].all()
+
+
+@pytest.mark.parametrize("kind", [np.random.PCG64, np.random.MT19937])
+def test_the_next_episodes_seed_is_a_draw_of_the_generator(kind):
+    ours, theirs = (np.random.Generator(kind(5)) for _ in range(2))
+    for _ in range(50):
+        # Half of a number of 64 bits may be left over.
+        assert ours.integers(7) == theirs.integers(7)
+        assert episode_seed(ours) == theirs.integers(0, 2**63)
 
 
 def test_a_negative_seed_is_refused():

@@ -12,8 +12,9 @@ from servo_history import run, wiggle
 from test_engines import assert_equal
 
 from servotrack.envs.servo.engine import ENGINES
-from servotrack.envs.servo.episode import NEVER, draw_episode
+from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
+from servotrack.envs.servo.noise import NEVER
 from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.envs.wrappers import VectorPrivilegedObservation
@@ -82,10 +83,10 @@ def test_a_knock_turns_the_camera_once_and_frames_before_it_show_the_old_one() -
     checked = 0
     for seed in range(6):
         episode = draw_episode(config, seed)
-        assert 25 <= episode.knocked_at - LEAD <= 75 and 0.0 < abs(episode.knock) <= 0.6
+        before, after = (math.atan2(camera[6], camera[5]) for camera in (episode.camera, episode.knocked))
+        assert 25 <= episode.knocked_at - LEAD <= 75 and 0.0 < abs(after - before) <= 0.6
         knocked = episode.camera.copy()
-        turn = math.atan2(knocked[6], knocked[5]) + episode.knock
-        knocked[5:7] = math.cos(turn), math.sin(turn)
+        knocked[5:7] = math.cos(after), math.sin(after)
         history = run(config, np.full((90, 1, 2), 0.02), [seed])
         for step in range(5, 90):
             if not history["visible"][step, 0]:

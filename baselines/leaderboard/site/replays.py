@@ -12,7 +12,7 @@ from servotrack.baselines.evaluation.episodes import EpisodeRecorder
 from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.leaderboard.site.packing import ANGLE_STEP, PLACE_STEP, RATE_STEP, Packer
-from servotrack.envs.servo.episode import ServoStreams, draw_noise
+from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.estimators.types import Array
@@ -193,7 +193,7 @@ def rate_noise(env: Any, seed: int) -> Array:
         env: Environment of the arm.
         seed: Seed of the episode.
     """
-    noise = draw_noise(env.unwrapped.config, ServoStreams(seed)).rate_noise
+    noise = draw_episode(env.unwrapped.config, seed).rate_noise
     return noise[LEAD : LEAD + env.unwrapped.world.episode_steps]
 
 

@@ -41,9 +41,9 @@ def test_too_few_steps_for_an_episode_are_refused() -> None:
 
 def test_every_run_is_in_the_report() -> None:
     runs = [RunResult(0.5, 0.25, -40.0, 90.0), RunResult(0.75, 0.5, -30.5, 60.0)]
-    page = goal_report({(TASK.name, True): runs}, {TASK.name: 0.06}, 10, "scripts/goals")
+    page = goal_report([TASK], {(TASK.name, True): runs}, {TASK.name: 0.06}, 10, "scripts/goals")
     name = "UncalibServoReach-v0,level=2,threshold=5"
-    assert f"| {name} | 6.0 | hindsight | 50, 75 | 25, 50 | -40.0, -30.5 | 1.5, 1.0 |" in page
+    assert f"| {name} | 444 | 6.0 | hindsight | 50, 75 | 25, 50 | -40.0, -30.5 | 1.5, 1.0 |" in page
 
 
 def test_random_actions_hardly_reach_a_small_goal() -> None:
@@ -54,7 +54,7 @@ def test_random_actions_hardly_reach_a_small_goal() -> None:
 
 
 def test_bad_arguments_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for arguments, message in (["--runs", "0"], "--runs must be positive"), (["--steps", "9"], "must exceed 404"):
+    for arguments, message in (["--runs", "0"], "--runs must be positive"), (["--steps", "9"], "must exceed 164"):
         with pytest.raises(SystemExit):
             main([*arguments, "--output", str(tmp_path)])
         assert message in capsys.readouterr().err
