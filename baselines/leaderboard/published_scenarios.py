@@ -89,6 +89,9 @@ def circular_error_probability(sets: Sets, radius: float = 20.0) -> float:
     return float(np.mean(shares))
 
 
+MEYER = "meyer-2018"
+"""Scenario with two sensors at once, which the environment does not play."""
+
 METRICS: Mapping[str, PublishedMetric] = {
     "paper": PublishedMetric(
         "OSPA (c = 100 m)", mean_ospa(100.0), published="lost: the numbers of table 1 are not in the copy at hand"
@@ -106,11 +109,9 @@ METRICS: Mapping[str, PublishedMetric] = {
     "williams-2015": PublishedMetric("OSPA (c = 20 m)", mean_ospa(20.0)),
     "garcia-fernandez-2018": PublishedMetric("RMS GOSPA (c = 10 m, p = 2)", _squared_gospa, True),
     "pinto-2021": PublishedMetric("GOSPA of scan 20 (c = 2 m)", _last_gospa),
+    MEYER: PublishedMetric("OSPA (c = 100 m, ours)", mean_ospa(100.0)),
 }
-"""Metric of each published scenario of the environment."""
-
-MEYER_METRIC = PublishedMetric("OSPA (c = 100 m, ours)", mean_ospa(100.0))
-"""Metric of the scenario with two sensors at once, which the environment does not play."""
+"""Metric of each published scenario."""
 
 VO_MA_CURVES = (
     (0.0, 0.98, 0.0477, 0.0432, 0.0314),
@@ -175,25 +176,17 @@ def score(metric: PublishedMetric, episodes: Sequence[Sets]) -> tuple[Interval, 
     return value, bootstrap_mean(wrong)
 
 
-def table(seeds: Sequence[int]) -> Grid:
-    """Return the agents' scores in all published scenarios, beside the figures of the publications."""
-    rows = []
-    for scenario, metric in METRICS.items():
-        for agent in AGENTS:
-            value, number = score(metric, play(scenario, agent, seeds))
-            rows.append([scenario, metric.title, *_compared(metric, agent, value, number)])
-    rows += [["meyer-2018", MEYER_METRIC.title, *row] for row in meyer_rows(seeds)]
-    columns = ["value", "published value", "error of the number", "published error"]
-    return Grid(["scenario", "metric", "agent", *columns], rows, words=3)
-
-
-def meyer_rows(seeds: Sequence[int]) -> list[list[str]]:
-    """Return the scores of filters with two sensors in the scenario `meyer-2018`."""
-    scenes = [meyer_scene(seed) for seed in seeds]
-    return [
-        _compared(MEYER_METRIC, name, *score(MEYER_METRIC, [tracked(scene, make) for scene in scenes]))
-        for name, make in MEYER_FILTERS.items()
-    ]
+def table(scenario: str, seeds: Sequence[int]) -> Grid:
+    """Return the scores of agents or filters in a published scenario, beside the figures of the publication."""
+    metric = METRICS[scenario]
+    if scenario == MEYER:
+        scenes = [meyer_scene(seed) for seed in seeds]
+        found = ((name, [tracked(scene, make) for scene in scenes]) for name, make in MEYER_FILTERS.items())
+    else:
+        found = ((agent, play(scenario, agent, seeds)) for agent in AGENTS)
+    rows = [_compared(metric, name, *score(metric, episodes)) for name, episodes in found]
+    columns = ["published value", "error of the number", "published error"]
+    return Grid(["agent", metric.title, *columns], rows, words=1)
 
 
 def _compared(metric: PublishedMetric, agent: str, value: Interval, number: Interval) -> list[str]:
@@ -224,33 +217,42 @@ def _shown(interval: Interval) -> str:
 
 def sources() -> Grid:
     """Return the source of each scenario and the figure that it publishes."""
-    rows = [
-        [name, SCENARIOS[name].source, SCENARIOS[name].differences or "none known", metric.published]
-        for name, metric in METRICS.items()
-    ]
-    rows.append(["meyer-2018", MEYER_SOURCE, MEYER_DIFFERENCES, MEYER_METRIC.published])
+    rows = []
+    for name, metric in METRICS.items():
+        known = SCENARIOS.get(name)
+        source = (MEYER_SOURCE, MEYER_DIFFERENCES) if known is None else (known.source, known.differences)
+        rows.append([name, source[0], source[1] or "none known", metric.published])
     return Grid(["scenario", "source", "what differs here", "published figure"], rows, words=4)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Play all scenarios, print the tables and put them into the page `--write`."""
+    """Play scenarios, print their tables and put them into the page `--write`."""
     parser = argparse.ArgumentParser(prog="scripts/published-scenarios", description=__doc__)
     parser.add_argument("--episodes", type=int, default=100, help="test seeds of each scenario (default 100)")
-    parser.add_argument("--write", type=Path, help="page with the marks scenarios:begin and :end")
+    parser.add_argument("--scenarios", help="scenarios by commas (default: all)")
+    parser.add_argument("--write", type=Path, help="page with the marks scenarios:begin, scenarios-NAME:begin and :end")
     given = parser.parse_args(arguments)
     if given.episodes < 1:
         parser.error(f"--episodes must be at least 1, got {given.episodes}")
-    with program("nothing is written; run the same command again"):
+    chosen = given.scenarios.split(",") if given.scenarios else list(METRICS)
+    for name in chosen:
+        if name not in METRICS:
+            parser.error(f"--scenarios must be of {', '.join(METRICS)}, got {name!r}")
+    with program("tables of finished scenarios are written; run the same command for the others"):
         seeds = take("test", given.episodes, FIRST)
-        note = (
-            f"{given.episodes} test seeds each ({seeds[0]} to {seeds[-1]}), with 95 % bootstrap intervals. Written by "
-            f"`scripts/published-scenarios --episodes {given.episodes}`, servotrack {code_version()}."
-        )
-        grids = [sources(), table(seeds), vo_ma_curves(seeds)]
-        text = "\n\n".join([*(as_markdown(grid) for grid in grids), note])
-        print(text)
-        if given.write:
-            embed(text, given.write, "scenarios")
+        _show(as_markdown(sources()), "scenarios", given.write)
+        for name in chosen:
+            grids = [table(name, seeds), *([vo_ma_curves(seeds)] if name == "vo-ma-2006-pair" else [])]
+            source = f"`scripts/published-scenarios --episodes {given.episodes} --scenarios {name}`"
+            note = f"{given.episodes} test seeds, 95 % bootstrap intervals. Written by {source}, {code_version()}."
+            _show("\n\n".join([*(as_markdown(grid) for grid in grids), note]), f"scenarios-{name}", given.write)
+
+
+def _show(text: str, mark: str, page: Path | None) -> None:
+    """Print a text, and put it between marks of a page."""
+    print(text, flush=True)
+    if page:
+        embed(text, page, mark)
 
 
 if __name__ == "__main__":

@@ -183,7 +183,8 @@ class MeasurementBirth:
         if isinstance(model, RangeBearingModel) or (excess is not None and excess.shape[1] > 0):
             mean, covariance = state_from_measurement(model, z, self.hidden_deviation, excess)
             return mean[:, :, None], covariance[:, :, None]
-        H, R = model.packed.observation, model.packed.measurement_noise
+        # A model's own matrices are the same objects over all intervals; its packed ones are copies.
+        H, R = model.observation, model.measurement_noise
         kept: _LinearBirth | None = self.__dict__.get("_kept")
         if kept is None or not (_equal(kept.observation, H) and _equal(kept.noise, R)):
             # Under a linear model the covariance is the same at every step.
