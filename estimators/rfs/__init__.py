@@ -48,6 +48,7 @@ from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.region import RegionSurvival
 from servotrack.estimators.rfs.robust_pmb import RobustPMB
+from servotrack.estimators.rfs.robust_trajectory_pmb import RobustTrajectoryPMB
 from servotrack.estimators.rfs.sensor_models import bearing_sensor, range_bearing_sensor, spherical_sensor
 from servotrack.estimators.rfs.sensors import FunctionSensor, LinearSensor, Places
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
@@ -85,6 +86,7 @@ __all__ = [
     "Reduction",
     "RegionSurvival",
     "RobustPMB",
+    "RobustTrajectoryPMB",
     "RowAllocation",
     "SensorAdaptation",
     "SetEstimate",

@@ -89,7 +89,10 @@ def test_dates_and_degrees(tmp_path: Path) -> None:
         ("time,x,y\n0,1e10,2\n1,1,2\n", "row 2: x must be at most 1e.09 in magnitude, got '1e10'"),
         ("time,x,y\n1e12,1,2\n", "row 2: time must be at most 1e.10 s from 0 or from 1970"),
         ("time,x,y\n9999-12-31,1,2\n", "row 2: time must be at most 1e.10 s"),
-        ("time,x,y\n" + "".join(f"0,1,{k}\n" for k in range(5001)), "row 5002 must have at most 5000 points of one time"),
+        (
+            "time,x,y\n" + "".join(f"0,1,{k}\n" for k in range(5001)),
+            "row 5002 must have at most 5000 points of one time",
+        ),
         ("time,x,y\n0,1,2\n" + "\n" * 1001, "more than 1000 blank rows"),
         ("time,x,y" + ",c" * 600_000 + "\n", "row 1 has more than 1048576 characters"),
         ('time,x,y\n0,1,"' + "2\n" * 101 + '"\n', "at most 100 lines; is a quotation mark missing"),
