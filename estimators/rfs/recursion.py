@@ -181,16 +181,17 @@ class GaussianSetFilter(ABC, Generic[StateT]):
 
         Args:
             now: Result of `at`, also with probabilities by `stating`.
-            state: As in `step`.
-            measurement: As in `step`.
-            noise: As in `step`.
+            state: Result of `initial` or of the last step.
+            measurement: One scan, in the form of `step`.
+            noise: Covariance of each measurement's noise, in the form of `step`; None: that of the sensor.
             adapted: Function from the coming births to those that are used; None: as they are.
 
         Returns:
-            As in `step`.
+            The new state and the estimate.
 
         Raises:
-            ValueError: As in `step`.
+            ValueError: Measurements or noise have a wrong shape or are not finite, or a covariance is not positive
+                definite.
         """
         z, number, single = read_measurements(measurement, now._sizes[1])
         check_runs(state.next_label, z.shape[0], single)
