@@ -160,8 +160,8 @@ def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
 
 
 def _robust_trajectories(scene: SceneModel, settings: FilterSettings) -> RobustTrajectoryPMB:
-    guide = _robust(scene, settings)
-    motion = None if guide.modes is None else maneuvers(guide.model, agility=SMOOTHED_AGILITY).models[1]
+    guide, model = _robust(scene, settings), scene.hidden_markov if settings.hidden_markov else scene.model
+    motion = None if guide.modes is None else maneuvers(model, agility=SMOOTHED_AGILITY).models[1]
     return RobustTrajectoryPMB(guide, motion, lag=scene.lag)
 
 
