@@ -82,7 +82,7 @@ def run_points(source: Path, out: Path, truth_file: Path | None, console: Consol
                 raise storage_error(out / name, error) from error
     for name in written:
         console.print(str(out / name), soft_wrap=True)
-    for note in [*notes, *_projection_notes(points)]:
+    for note in [*notes, *_projection_notes(points), *_repetition_notes(points)]:
         console.print(f"note: {note}", style="cyan", soft_wrap=True)
     count = sum(map(len, points.scans))
     console.print(f"{len(points.times)} scans, {count} points, {len(trajectories)} tracks")
@@ -120,6 +120,16 @@ def _projection_notes(points: PointScans) -> list[str]:
     return [
         f"the points reach over {latitudes.max() - latitudes.min():.1f} deg of latitude, and distances to the east are "
         f"off by up to {100.0 * worst:.0f} %; split the file by region"
+    ]
+
+
+def _repetition_notes(points: PointScans) -> list[str]:
+    """Return a note where rows were left out because they repeat others."""
+    if not points.repeated:
+        return []
+    return [
+        f"{points.repeated} rows repeat another one of the same time and were left out; if two targets may have one "
+        "position, tell them apart by a column id"
     ]
 
 

@@ -7,12 +7,13 @@
         print(estimate.labels, estimate.states, estimate.existence)
 
 Start with `PMB`, or with `RobustPMB` where sensor and motion are not known well; `PMBM` is the exact posterior up to
-pruning and takes longer. `TrajectoryPMB` reports smoothed targets some scans late. `GMPHD` is the cheapest and the
-simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017, and `LMB` names targets at their birth. Each is a
-frozen dataclass with `initial(measurement) -> state` and `step(state, measurement) -> (state, estimate)`, whose state
-is a NamedTuple of arrays. Measurements of shape (B, rows, 1 + m), existence in column 0, run B independent filters at
-once. `step(..., dt=, sensor=, noise=)` takes scans at varying intervals, of other sensors, and with a noise for each
-measurement; `TimedTracker` takes them by their time stamps, late ones too.
+pruning and takes longer. `TrajectoryPMB` reports smoothed targets some scans late, and `RobustTrajectoryPMB` those of
+an unknown sensor. `GMPHD` is the cheapest and the simplest filter; `GMCBMeMBer` is the filter of Zhang et al. 2017,
+and `LMB` names targets at their birth. Each is a frozen dataclass with `initial(measurement) -> state` and
+`step(state, measurement) -> (state, estimate)`, whose state is a NamedTuple of arrays. Measurements of shape (B, rows,
+1 + m), existence in column 0, run B independent filters at once. `step(..., dt=, sensor=, noise=)` takes scans at
+varying intervals, of other sensors, and with a noise for each measurement; `TimedTracker` takes them by their time
+stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
@@ -48,6 +49,7 @@ from servotrack.estimators.rfs.raw import RawMeasurements
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.region import RegionSurvival
 from servotrack.estimators.rfs.robust_pmb import RobustPMB
+from servotrack.estimators.rfs.robust_trajectory_pmb import RobustTrajectoryPMB
 from servotrack.estimators.rfs.sensor_models import bearing_sensor, range_bearing_sensor, spherical_sensor
 from servotrack.estimators.rfs.sensors import FunctionSensor, LinearSensor, Places
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
@@ -85,6 +87,7 @@ __all__ = [
     "Reduction",
     "RegionSurvival",
     "RobustPMB",
+    "RobustTrajectoryPMB",
     "RowAllocation",
     "SensorAdaptation",
     "SetEstimate",

@@ -11,7 +11,13 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.capacity import warn_of_cap
-from servotrack.estimators.rfs.models import RangeBearingModel, TargetModel, checked_covariance
+from servotrack.estimators.rfs.models import (
+    HiddenMarkovModel,
+    PairwiseMarkovModel,
+    RangeBearingModel,
+    TargetModel,
+    checked_covariance,
+)
 from servotrack.estimators.rfs.sensors import SensedModel
 from servotrack.estimators.rfs.sets import REPORTED
 from servotrack.estimators.types import Array
@@ -183,7 +189,9 @@ class MeasurementBirth:
         if isinstance(model, RangeBearingModel) or (excess is not None and excess.shape[1] > 0):
             mean, covariance = state_from_measurement(model, z, self.hidden_deviation, excess)
             return mean[:, :, None], covariance[:, :, None]
-        H, R = model.packed.observation, model.packed.measurement_noise
+        # A model's own matrices are the same objects over all intervals; its packed ones are copies.
+        own = model if isinstance(model, HiddenMarkovModel | PairwiseMarkovModel) else model.packed
+        H, R = own.observation, own.measurement_noise
         kept: _LinearBirth | None = self.__dict__.get("_kept")
         if kept is None or not (_equal(kept.observation, H) and _equal(kept.noise, R)):
             # Under a linear model the covariance is the same at every step.

@@ -167,14 +167,39 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             ValueError: Measurements or noise have a wrong shape or are not finite, dt is negative, the model has no
                 motion for dt, or a covariance is not positive definite.
         """
-        now = self.at(dt, sensor)
+        return self.step_as(self.at(dt, sensor), state, measurement, noise)
+
+    def step_as(
+        self,
+        now: Self,
+        state: StateT,
+        measurement: ArrayLike,
+        noise: ArrayLike | None = None,
+        adapted: Callable[[BirthMixture], BirthMixture] | None = None,
+    ) -> tuple[StateT, SetEstimate]:
+        """Step with the parameters of a variant of this filter.
+
+        Args:
+            now: Result of `at`, also with probabilities by `stating`.
+            state: Result of `initial` or of the last step.
+            measurement: One scan, in the form of `step`.
+            noise: Covariance of each measurement's noise, in the form of `step`; None: that of the sensor.
+            adapted: Function from the coming births to those that are used; None: as they are.
+
+        Returns:
+            The new state and the estimate.
+
+        Raises:
+            ValueError: Measurements or noise have a wrong shape or are not finite, or a covariance is not positive
+                definite.
+        """
         z, number, single = read_measurements(measurement, now._sizes[1])
         check_runs(state.next_label, z.shape[0], single)
         if single:
             state = add_axis(state)
         state = resized(state, sum(now._sizes))  # type: ignore[type-var]
         share = now.model.period / self.model.period
-        births = now._coming_births(state)
+        births = now._coming_births(state) if adapted is None else adapted(now._coming_births(state))
         packed = now.model.packed
         excess = no_excess(z.shape[0], z.shape[2]) if noise is None else read_noise(noise, measurement, packed)
         scan = Scan(z, number, now._clutter(z, number), excess)
@@ -207,6 +232,19 @@ class GaussianSetFilter(ABC, Generic[StateT]):
             return self
         interval = checked_interval(dt)
         return self._variant(interval, lambda: self._over(interval))
+
+    def stating(self, detection: Array, clutter_intensity: Array) -> Self:
+        """The same filter with a detection probability and a clutter intensity for each run, for `step_as`.
+
+        Args:
+            detection: Shape (B,), in [0, 1].
+            clutter_intensity: Shape (B,), >= 0.
+        """
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__)
+        # The gate follows from the stated probability.
+        made.__dict__.update(_gate=self._gate, detection=detection, clutter_intensity=clutter_intensity, _variants={})
+        return made
 
     def _sensing(self, sensor: Sensor) -> Self:
         """The same filter with another sensor."""
@@ -334,7 +372,9 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     def _clutter(self, z: Array, number: Labels) -> Array:
         """Clutter intensity at each measurement, 0 in unused rows. Shape (B, Z)."""
         if not callable(self.clutter_intensity):
-            return np.full(z.shape[:2], float(self.clutter_intensity))
+            values = np.empty(z.shape[:2])
+            values.T[:] = self.clutter_intensity
+            return values
         used = np.arange(z.shape[1]) < number[:, None]
         kappa = np.zeros(z.shape[:2])
         kappa[used] = checked_values("clutter_intensity", self.clutter_intensity(z[used]), int(used.sum()), np.inf)

@@ -151,7 +151,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             detection = self.adaptation.detection(state.sensor)
             intensity = self.adaptation.clutter_rate(state.sensor) / self.volume
             scan = scan._replace(clutter=np.repeat(intensity[:, None], scan.clutter.shape[1], axis=1))
-        births = self._adapted(births, state)
+        births = self.adapted_births(births, state.sensor)
         prediction = self._predict_modes(state, births, detection)
         new, tally = self._fitted(
             lambda capacity, hidden: self._updated(state, prediction, scan, capacity, hidden), state, prediction
@@ -167,11 +167,16 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
         return new, extraction._replace(expected=expected), tally.unexplained
 
-    def _adapted(self, births: BirthMixture, state: RobustPMBState) -> BirthMixture:
-        """Births with the estimated rate of those at measurements."""
+    def adapted_births(self, births: BirthMixture, sensor: SensorState) -> BirthMixture:
+        """Births with the estimated rate of those at measurements.
+
+        Args:
+            births: Births of the coming step, those at sites first.
+            sensor: Estimates of the runs, `state.sensor` with a batch axis.
+        """
         if self.adaptation is None or self._stated_births == 0.0:
             return births
-        factor = np.clip(state.sensor.birth_rate / self._stated_births, *self.adaptation.birth_limits)
+        factor = np.clip(sensor.birth_rate / self._stated_births, *self.adaptation.birth_limits)
         weight = births.weight.copy()
         first = self._known_births(births)
         weight[:, first:] = np.minimum(weight[:, first:] * factor[:, None], 1.0)

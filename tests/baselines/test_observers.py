@@ -8,7 +8,7 @@ import pytest
 
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.registry import AGENTS, agent_card, create_agent
-from servotrack.baselines.evaluation.evaluate import make_vector
+from servotrack.baselines.evaluation.evaluate import evaluate, make_vector
 
 ENV_ID = "ClutterTracking-v0"
 OBSERVERS = tuple(name for name, card in AGENTS.items() if card.factory.endswith("create_observer"))
@@ -119,6 +119,15 @@ def test_smoothed_trajectories_score_more_than_late_answers() -> None:
         scores[name] = total, info["ospa2"].mean()
     assert scores["trajectory-pmb"][0] > scores["pmb"][0] + 5.0
     assert scores["trajectory-pmb"][1] < 0.7 * scores["pmb"][1]
+
+
+def test_the_adaptive_smoother_finds_targets_whose_births_are_stated_wrong() -> None:
+    kwargs = {"level": 7, "lag": 10, "horizon": 30}
+    ospa = {
+        name: np.mean([row["ospa"] for row in evaluate(ENV_ID, name, [1], kwargs).rows])
+        for name in ("robust-pmb", "robust-trajectory-pmb")
+    }
+    assert ospa["robust-trajectory-pmb"] < 0.5 * ospa["robust-pmb"] < 10.0
 
 
 def test_without_a_lag_the_smoother_is_pmb() -> None:

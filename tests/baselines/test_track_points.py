@@ -35,6 +35,16 @@ def test_rows_of_one_time_are_a_scan(tmp_path: Path) -> None:
     assert [scan.tolist() for scan in read_points(packed).scans] == [scan.tolist() for scan in points.scans]
 
 
+def test_a_row_that_is_stored_twice_is_one_point(tmp_path: Path) -> None:
+    points = read_points(written(tmp_path, "time,x,y\n0,1,2\n0,3,4\n0,1.0,2\n1,1,2\n1,1,2\n"))
+    assert [scan.tolist() for scan in points.scans] == [[[1.0, 2.0], [3.0, 4.0]], [[1.0, 2.0]]]
+    assert points.repeated == 2
+    # Two ships side by side have identities of their own.
+    named = read_points(written(tmp_path, "time,id,x,y\n0,a,1,2\n0,b,1,2\n0,a,1,2\n1,a,1,2\n"))
+    assert [len(scan) for scan in named.scans] == [2, 1] and named.repeated == 1
+    assert named.identities == [["a", "b"], ["a"]]
+
+
 def test_three_axes_covariances_and_identities(tmp_path: Path) -> None:
     head = "id,Time,x,y,z,cov_xx,cov_xy,cov_xz,cov_yy,cov_yz,cov_zz,quality"
     points = read_points(written(tmp_path, f"{head}\na,0,1,2,3,4,1,0,5,0,6,?\nb,1,1,2,3,4,1,0,5,0,6,?\n"))
@@ -79,7 +89,10 @@ def test_dates_and_degrees(tmp_path: Path) -> None:
         ("time,x,y\n0,1e10,2\n1,1,2\n", "row 2: x must be at most 1e.09 in magnitude, got '1e10'"),
         ("time,x,y\n1e12,1,2\n", "row 2: time must be at most 1e.10 s from 0 or from 1970"),
         ("time,x,y\n9999-12-31,1,2\n", "row 2: time must be at most 1e.10 s"),
-        ("time,x,y\n" + "0,1,2\n" * 5001, "row 5002 must have at most 5000 points of one time"),
+        (
+            "time,x,y\n" + "".join(f"0,1,{k}\n" for k in range(5001)),
+            "row 5002 must have at most 5000 points of one time",
+        ),
         ("time,x,y\n0,1,2\n" + "\n" * 1001, "more than 1000 blank rows"),
         ("time,x,y" + ",c" * 600_000 + "\n", "row 1 has more than 1048576 characters"),
         ('time,x,y\n0,1,"' + "2\n" * 101 + '"\n', "at most 100 lines; is a quotation mark missing"),
@@ -107,7 +120,7 @@ def test_a_damaged_gzip_file_and_binary_are_refused(tmp_path: Path) -> None:
         ("time,x,y\n0,1,2\n1,1,2\n", "must have a column of identities"),
         ("time,id,x,y,z\n0,a,1,2,3\n1,a,1,2,3\n", "must have the same coordinates"),
         ("time,id,x,y\n10,a,1,2\n11,a,1,2\n", "must overlap the points in time"),
-        ("time,id,x,y\n0,a,1,2\n0,a,1,2\n1,a,1,1\n", "one row of target 'a' at time 0, got two"),
+        ("time,id,x,y\n0,a,1,2\n0,a,1,3\n1,a,1,1\n", "one row of target 'a' at time 0, got two"),
     ],
 )
 def test_a_bad_truth_is_refused(tmp_path: Path, text: str, message: str) -> None:

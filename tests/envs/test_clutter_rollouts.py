@@ -19,7 +19,7 @@ import servotrack  # noqa: F401
 STORED = Path(__file__).with_name("clutter_rollouts.npz")
 ENV_ID = "ClutterTracking-v0"
 LEVELS = (0, 1, 3, 4, 7)
-SCENARIOS = ("vo-ma-2006", "williams-2015", "garcia-fernandez-2018", "pinto-2021")
+SCENARIOS = ("vo-ma-2006", "vo-ma-2006-pair", "vo-demo", "williams-2015", "garcia-fernandez-2018", "pinto-2021")
 CASES: tuple[int | str, ...] = (*LEVELS, *SCENARIOS)
 SEED, STEPS = 11, 12
 

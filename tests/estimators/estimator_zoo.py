@@ -88,6 +88,14 @@ def _filters() -> dict[str, Kind]:
     steered = rfs.SteeredPHD(rfs.GMPHD(HMM, PLACES, clutter_intensity=1e-4))
     return found | {
         "phd-spawn": _scans(rfs.GMPHD(HMM, PLACES, spawn=(rfs.Spawn(0.05, np.eye(4)),), clutter_intensity=1e-4)),
+        "robust-trajectory-pmb": _scans(
+            rfs.RobustTrajectoryPMB(
+                rfs.RobustPMB(
+                    PMM, rfs.Births(PLACES, ANYWHERE), clutter_intensity=1e-4, volume=4e4, modes=rfs.maneuvers(PMM)
+                ),
+                lag=2,
+            )
+        ),
         "pmbm-large": _scans(rfs.PMBM(HMM, ANYWHERE, clutter_intensity=1e-4)),
         "smc-phd": _scans(rfs.ParticlePHD(HMM, PLACES, clutter_intensity=1e-4, **few)),
         "smc-phd-range": _scans(rfs.ParticlePHD(EKF, PLACES, clutter_intensity=1e-4, **few), polar=True),

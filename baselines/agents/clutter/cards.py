@@ -57,6 +57,12 @@ CARDS = (
         "PMB with smoothed trajectories, as late as the world's lag allows; equal to pmb without a lag",
         in_default_suite=False,
     ),
+    _observer(
+        "robust-trajectory-pmb",
+        "smoothed trajectories with the sensor and births that robust-pmb estimates beside them, as late as the "
+        "world's lag allows",
+        in_default_suite=False,
+    ),
     _observer("smc-phd", "particle PHD filter with k-means extraction"),
     _observer("gnn", "Kalman tracks, nearest neighbors by one assignment, 3-of-5 confirmation"),
     _observer("gnn-hmm", "the same, assuming independent noises"),

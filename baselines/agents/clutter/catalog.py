@@ -24,6 +24,7 @@ from servotrack.estimators.rfs import (
     Reduction,
     RegionSurvival,
     RobustPMB,
+    RobustTrajectoryPMB,
     TrajectoryPMB,
     maneuvers,
 )
@@ -39,6 +40,7 @@ TrackFilter: TypeAlias = (
     | PMB
     | PMBM
     | RobustPMB
+    | RobustTrajectoryPMB
     | TrajectoryPMB
     | ParticlePHD
     | GlobalNearestNeighbor
@@ -47,8 +49,8 @@ TrackFilter: TypeAlias = (
     | CountingPHD
 )
 
-SMOOTHER = "trajectory-pmb"
-"""Observer that reports the scan that the scene's lag asks for; the others report the newest one."""
+SMOOTHER, ROBUST_SMOOTHER = "trajectory-pmb", "robust-trajectory-pmb"
+"""Observers that report the scan that the scene's lag asks for; the others report the newest one."""
 
 SMALLEST_CAPACITY = 100
 """Capacity of a filter (see `FilterSettings`) if three times the rows of an answer are fewer."""
@@ -59,6 +61,10 @@ TURN_RATE, MOST_TURN = 0.15, 0.5
 
 ELSEWHERE = 0.35
 """Births of `robust-pmb` at unexplained measurements, as a share of those that the scene model expects at its sites."""
+
+
+SMOOTHED_AGILITY = 1.5
+"""Factor on the standard deviation of the process noise of `robust-trajectory-pmb`, whose smoother has one motion."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +159,12 @@ def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
     return replace(made, lag=scene.lag)
 
 
+def _robust_trajectories(scene: SceneModel, settings: FilterSettings) -> RobustTrajectoryPMB:
+    guide, model = _robust(scene, settings), scene.hidden_markov if settings.hidden_markov else scene.model
+    motion = None if guide.modes is None else maneuvers(model, agility=SMOOTHED_AGILITY).models[1]
+    return RobustTrajectoryPMB(guide, motion, lag=scene.lag)
+
+
 def steered_phd(scene: SceneModel, settings: FilterSettings | None = None) -> SteeredPHD:
     """Create a GM-PHD filter for a scene whose parameters are passed at every step."""
     made = _phd(scene, settings or FilterSettings())
@@ -225,6 +237,7 @@ TRACK_FILTERS: Mapping[str, Callable[[SceneModel, FilterSettings], TrackFilter]]
     "robust-pmb": _robust,
     "pmbm": _mixture,
     SMOOTHER: _trajectories,
+    ROBUST_SMOOTHER: _robust_trajectories,
     "smc-phd": _particle,
     "gnn": _nearest,
     "raw-measurements": _raw,

@@ -7,7 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 from servotrack.baselines.agents.clutter.association_oracle import AssociationOracle
-from servotrack.baselines.agents.clutter.catalog import SMOOTHER, TrackFilter, observer_settings, track_filter
+from servotrack.baselines.agents.clutter.catalog import (
+    ROBUST_SMOOTHER,
+    SMOOTHER,
+    TrackFilter,
+    observer_settings,
+    track_filter,
+)
 from servotrack.baselines.agents.delayed import DelayedAgent
 from servotrack.baselines.agents.hyper_parameters import with_values
 from servotrack.baselines.agents.set_observer import RawObserver, SetObserver
@@ -38,7 +44,7 @@ def create_clutter_observer(
         ValueError: An unknown estimator, or values that do not fit it.
     """
     observer = _undelayed(space, scene, estimator, hidden_markov, extraction, values or {})
-    return DelayedAgent(observer, scene.lag) if scene.lag and estimator != SMOOTHER else observer
+    return DelayedAgent(observer, scene.lag) if scene.lag and estimator not in (SMOOTHER, ROBUST_SMOOTHER) else observer
 
 
 def _undelayed(

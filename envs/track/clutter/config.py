@@ -42,7 +42,8 @@ class ClutterConfig:
     Attributes:
         scenario: `paper` (twelve targets with the birth and death times of Zhang et al. 2017), `random` (births and
             deaths drawn in every episode), or another published scenario with parameters of its own: `vo-ma-2006`,
-            `williams-2015`, `garcia-fernandez-2018`, `pinto-2021`; see `servotrack.envs.track.clutter.scenarios`.
+            `vo-ma-2006-pair`, `vo-demo`, `williams-2015`, `garcia-fernandez-2018`, `pinto-2021`; see
+            `servotrack.envs.track.clutter.scenarios`.
         horizon: Scored scans of an episode.
         lag: Delay of answers, scans: the answer to scan k is for scan k - lag. Larger values give smoothers more scans
             to work with. An episode has `horizon` + `lag` answers.

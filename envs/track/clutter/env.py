@@ -44,6 +44,8 @@ class ClutterTrackingEnv(TrackEnv):
     | scenario | world |
     |---|---|
     | `vo-ma-2006` | Vo and Ma 2006, example 1: two targets that cross, a third that splits off, 50 false measurements |
+    | `vo-ma-2006-pair` | Vo and Ma 2006, example 2: the two targets that cross |
+    | `vo-demo` | demonstration of B.-T. Vo's Matlab code: the lives of `paper`, nearly, among 60 false measurements |
     | `williams-2015` | six targets that meet at one point in the middle of 201 scans, detection probability 0.5 |
     | `garcia-fernandez-2018` | four targets that come together in the middle of 81 scans, where one dies |
     | `pinto-2021` | MT3's task 2: 20 scans in which targets appear anywhere among 30 false measurements |

@@ -76,6 +76,8 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
             path = _draw_path(config, streams, target, starts[target], root, life)
         else:
             path = _path_through_middle(config, streams, target, root)[life]
+        if not config.draws_lives:
+            _accelerate(path, config.published.targets[target].acceleration, config.period)
         life = slice(life.start, life.start + len(path))
         exists[life, target] = True
         states[life, target], positions[life, target] = path[:, :4], path[:, 4:]
@@ -169,6 +171,14 @@ def _draw_path(config: ClutterConfig, streams: Streams, target: int, start: Arra
         f"no path of {steps} scans among {_MAX_DRAWS} stays inside half_width={config.half_width:g} m with "
         f"acceleration_noise={config.acceleration_noise:g}; widen half_width, or lower acceleration_noise or horizon"
     )
+
+
+def _accelerate(path: Array, acceleration: tuple[float, float], period: float) -> None:
+    """Add the effect of a constant acceleration, m/s^2, to a path of (state, measured position), in place."""
+    time = period * np.arange(len(path))
+    for axis, push in enumerate(acceleration):
+        for column, moved in ((2 * axis, 0.5 * time**2), (2 * axis + 1, time), (4 + axis, 0.5 * time**2)):
+            path[:, column] += push * moved
 
 
 def turn_angles(config: ClutterConfig, seed: int) -> Array:

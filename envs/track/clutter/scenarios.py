@@ -12,11 +12,19 @@ from typing import Any, NamedTuple
 
 
 class FixedTarget(NamedTuple):
-    """A target with a given life: first and last scan (counted from 1), and initial state (x, vx, y, vy)."""
+    """A target with a given life.
+
+    Attributes:
+        first: First scan, counted from 1.
+        last: Last scan; None: that of the episode.
+        state: Initial state (x, vx, y, vy), m and m/s.
+        acceleration: Constant acceleration along x and y, m/s^2, of which no filter knows.
+    """
 
     first: int
     last: int | None
     state: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    acceleration: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -27,7 +35,7 @@ class Scenario:
         source: Publication of its parameters.
         differences: Known differences from it; empty for none.
         settings: Fields of `ClutterConfig` that differ from their defaults.
-        targets: Targets with given lives; empty if births and deaths are drawn.
+        targets: Targets with given lives, in order of their first scans; empty if births and deaths are drawn.
         wanders: True if the motion of the targets has process noise.
         middle: Variance of every entry of the targets' states at the middle scan, from which paths are drawn forward
             and backward in time; None if paths begin at the states of `targets`. Small values bring targets close.
@@ -70,13 +78,35 @@ PAPER_TARGETS = (
     FixedTarget(80, None, (-200.0, 15.0, 800.0, -5.0)),
 )
 
-_SPAWNED_AT = 66
-_VO_MA_TARGETS = (
-    FixedTarget(1, None, (250.0, 2.5, 250.0, -11.5)),
-    FixedTarget(1, None, (-250.0, 11.5, -250.0, -2.5)),
-    FixedTarget(_SPAWNED_AT, None, (250.0 + 65 * 2.5, -10.0, 250.0 - 65 * 11.5, -2.0)),
+_DEMO_STARTS = (
+    (1, 70, 0.0, 0.0, 0.0, -10.0),
+    (1, None, 400.0, -10.0, -600.0, 5.0),
+    (1, 70, -800.0, 20.0, -200.0, -5.0),
+    *((one.first, one.last, *one.state) for one in PAPER_TARGETS[3:]),
 )
-"""The third target splits off the first one."""
+# The demo moves a target before its first scan.
+_DEMO_TARGETS = tuple(FixedTarget(first, last, (x + vx, vx, y + vy, vy)) for first, last, x, vx, y, vy in _DEMO_STARTS)
+
+_VO_MA_TARGETS = (
+    FixedTarget(1, None, (250.0, 2.5, 250.0, -12.0)),
+    FixedTarget(1, None, (-250.0, 12.0, -250.0, -2.5)),
+    FixedTarget(66, None, (410.5, 0.5, -529.4, -11.5), (-1.0, 0.25)),
+)
+"""Paths in the vector graphics of figure 1, to .2 m. The third target splits off the first one and turns away."""
+
+_VO_MA_SETTINGS = {
+    "half_width": 1000.0,
+    "structure": "HMM",
+    "acceleration_noise": 5.0,
+    "position_noise": 10.0,
+    "detection_probability": 0.98,
+    "clutter_rate": 50.0,
+    "survival_probability": 0.99,
+    "birth_spread": 10.0,
+    "birth_speed": 5.0,
+}
+_VO_MA = "Vo and Ma, IEEE Transactions on Signal Processing 54(11), 2006"
+_CONTINUOUS = "process noise of continuous time, T^3/3 instead of T^4/4"
 
 SCENARIOS: Mapping[str, Scenario] = {
     "paper": Scenario(
@@ -87,27 +117,44 @@ SCENARIOS: Mapping[str, Scenario] = {
     ),
     "random": Scenario("births and deaths drawn in every episode"),
     "vo-ma-2006": Scenario(
-        "Vo and Ma, IEEE Transactions on Signal Processing 54(11), 2006, example 1: two targets that cross, and a "
-        "third that splits off at scan 66",
-        "initial states are those that B. Clarke's GM-PHD filter 1.10 read off a figure; process noise of continuous "
-        "time, T^3/3 instead of T^4/4",
+        f"{_VO_MA}, example 1: two targets that cross at scan 53, and a third that splits off at scan 66",
+        _CONTINUOUS,
+        {**_VO_MA_SETTINGS, "max_targets": 3},
+        targets=_VO_MA_TARGETS,
+        wanders=False,
+        birth_places=((250.0, 250.0), (-250.0, -250.0)),
+        birth_weight=0.1,
+        spawn=(0.05, 10.0, 20.0),
+    ),
+    "vo-ma-2006-pair": Scenario(
+        f"{_VO_MA}, example 2: the two targets of example 1 that cross",
+        _CONTINUOUS,
+        {**_VO_MA_SETTINGS, "max_targets": 2},
+        targets=_VO_MA_TARGETS[:2],
+        wanders=False,
+        birth_places=((250.0, 250.0), (-250.0, -250.0)),
+        birth_weight=0.1,
+    ),
+    "vo-demo": Scenario(
+        "demonstration of the Gaussian mixture filters in the Matlab code that B.-T. Vo published with them "
+        "(phd/gms): twelve targets of four places",
+        _CONTINUOUS,
         {
             "half_width": 1000.0,
             "structure": "HMM",
             "acceleration_noise": 5.0,
             "position_noise": 10.0,
             "detection_probability": 0.98,
-            "clutter_rate": 50.0,
+            "clutter_rate": 60.0,
             "survival_probability": 0.99,
             "birth_spread": 10.0,
-            "birth_speed": 5.0,
-            "max_targets": 3,
+            "birth_speed": 10.0,
+            "max_targets": 12,
         },
-        targets=_VO_MA_TARGETS,
+        targets=_DEMO_TARGETS,
         wanders=False,
-        birth_places=((250.0, 250.0), (-250.0, -250.0)),
-        birth_weight=0.1,
-        spawn=(0.05, 10.0, 20.0),
+        birth_places=((0.0, 0.0), (400.0, -600.0), (-800.0, -200.0), (-200.0, 800.0)),
+        birth_weight=0.03,
     ),
     "williams-2015": Scenario(
         "Williams, IEEE Transactions on Aerospace and Electronic Systems 51(3), 2015 (arXiv:1203.2995, its simulation "

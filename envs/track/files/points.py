@@ -89,6 +89,7 @@ class PointScans(NamedTuple):
         identities: Text of the identity column for each row, one list per scan; None without such a column.
         origin: Origin of geographic positions; None for Cartesian ones.
         dated: True if times are dates: then they are seconds since 1970, UTC.
+        repeated: Number of rows that were left out because they repeat another one of the same time.
     """
 
     times: Array
@@ -97,6 +98,7 @@ class PointScans(NamedTuple):
     identities: list[list[str]] | None
     origin: GeographicOrigin | None
     dated: bool
+    repeated: int = 0
 
     @property
     def dimensions(self) -> int:
@@ -129,7 +131,9 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     Columns, in any order and case: `time` (or timestamp, BaseDateTime; seconds, or dates in ISO 8601) and `x`, `y`[,
     `z`] in m, or `lat` and `lon` in degrees. Optional: the position's covariance as `cov_xx`, `cov_xy`, `cov_yy`[,
     `cov_xz`, `cov_yz`, `cov_zz`] in m^2, all of them, and an identity (`id`, `label`, `mmsi`). Further columns are
-    ignored. Rows of one time are one scan; a row without position stands for a scan without detections.
+    ignored. Rows of one time are one scan; a row without position stands for a scan without detections. Of rows of
+    one time with the same position and identity one is kept: a receiver that stores a message twice has not seen two
+    targets.
 
     Args:
         path: The file, ending in .csv or .csv.gz.
@@ -153,6 +157,8 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     identities: list[list[str]] = []
     texts: dict[str, str] = {}
     dated: bool | None = None
+    here: set[tuple[str | float, ...]] = set()
+    repeated = 0
     for number, row in rows:
         where = f"{path} row {number}"
         if len(row) != len(head):
@@ -170,6 +176,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         if not times or time > times[-1]:
             times.append(time)
             sizes.append(0)
+            here.clear()
             if columns.identity is not None:
                 identities.append([])
         cells = [row[at].strip(_BLANKS) for at in columns.places]
@@ -187,6 +194,11 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
                     "pole give x and y in a plane of your own"
                 )
             origin = origin or GeographicOrigin(place[0], place[1])
+        text = "" if columns.identity is None else row[columns.identity].strip(_BLANKS)
+        if (text, *place) in here:
+            repeated += 1
+            continue
+        here.add((text, *place))
         sizes[-1] += 1
         if sizes[-1] > MOST_IN_SCAN:
             raise SequenceError(
@@ -195,7 +207,6 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
             )
         places.extend(place)
         if columns.identity is not None:
-            text = row[columns.identity].strip(_BLANKS)
             identities[-1].append(texts.setdefault(text, text))
         if names:
             covariances.extend(csv_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
@@ -216,6 +227,7 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         identities if columns.identity is not None else None,
         origin if columns.geographic else None,
         bool(dated),
+        repeated,
     )
 
 
