@@ -61,6 +61,7 @@ class Episode:
         encoder_age: Age of the observed joint angles, control periods.
         knocked_at: Sample from which on the camera is turned by `knock`; `NEVER` without one.
         knock: Rotation of the camera about its axis, rad.
+        focal_factor: Focal length over the drawn one at each sample. Shape (K,), or (0,) for a lens that does not zoom.
     """
 
     streams: ServoStreams
@@ -78,6 +79,7 @@ class Episode:
     encoder_age: int
     knocked_at: int
     knock: float
+    focal_factor: Array
 
 
 NEVER = np.iinfo(np.int64).max
@@ -137,6 +139,7 @@ def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -
 _FIRST = np.zeros(1, np.int64)
 _NEVER = np.zeros(0, dtype=np.bool_)
 _NONE = np.zeros((0, 2))
+_CONSTANT = np.zeros(0)
 
 
 class Noise(NamedTuple):
@@ -151,6 +154,7 @@ class Noise(NamedTuple):
     encoder_age: int
     knocked_at: int
     knock: float
+    focal_factor: Array
 
 
 def draw_noise(config: ServoConfig, streams: ServoStreams) -> Noise:
@@ -173,6 +177,7 @@ def draw_noise(config: ServoConfig, streams: ServoStreams) -> Noise:
         encoder_age=_whole(streams, Stream.ENCODER_AGE, config.encoder_age),
         knocked_at=knocked_at,
         knock=knock,
+        focal_factor=_focal_factor(config, streams, count),
     )
 
 
@@ -182,6 +187,16 @@ def knocked_camera(camera: Array, knock: float) -> Array:
     cosine, sine = math.cos(knock), math.sin(knock)
     turned[5:7] = camera[5] * cosine - camera[6] * sine, camera[6] * cosine + camera[5] * sine
     return turned
+
+
+def _focal_factor(config: ServoConfig, streams: ServoStreams, count: int) -> Array:
+    """Draw the focal length over the drawn one at all samples: 1 at the reset, then along a sine of its logarithm."""
+    if not config.zoom:
+        return _CONSTANT
+    size = math.log1p(config.zoom) * (1.0 if streams[Stream.ZOOM].random() < 0.5 else -1.0)
+    period = float(streams.uniform(Stream.ZOOM, config.zoom_period))
+    since_reset = np.maximum(np.arange(count) - LEAD, 0) * PERIOD
+    return np.asarray(np.exp(size * np.sin(2.0 * math.pi / period * since_reset)))
 
 
 def _whole(streams: ServoStreams, stream: Stream, bounds: Range) -> int:
