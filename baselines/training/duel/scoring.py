@@ -143,8 +143,9 @@ def _anchoring(cell: Cell, references: Mapping[str, Columns], env_kwargs: Mappin
             f"{cell.title} has no rows of {' and '.join(lacking)}; run `scripts/duel run` with "
             f"--methods {' '.join(lacking)}"
         )
-    errors = [np.array(references[name][ends.column], np.float64) for name in needed]
-    seeds = test_seeds(len(errors[0]))
-    if bound is not None and bounded:
-        errors.append(np.array(bounds_on(bound, env_kwargs, seeds), np.float64))
-    return Anchoring(ends, frozenset(seeds), *errors, bound if bounded else None).checked()
+    lower, *others = (np.array(references[name][ends.column], np.float64) for name in needed)
+    seeds = test_seeds(len(lower))
+    if bound is None or not bounded:
+        return Anchoring(ends, frozenset(seeds), lower, others[0]).checked()
+    least = np.array(bounds_on(bound, env_kwargs, seeds), np.float64)
+    return Anchoring(ends, frozenset(seeds), lower, least, bound).checked()
