@@ -103,6 +103,45 @@ def project_ground(cam, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def zoom_into(cam, goal, factor, out):  # type: ignore[no-untyped-def]
+    """Write a packed camera to `out` (CAMERA_SIZE,) that magnifies `factor` times as much about the pixel `goal`.
+
+    Args:
+        cam: The packed camera, shape (CAMERA_SIZE,).
+        goal: Image of the point under the tool, shape (2,), px. It stays where it is.
+        factor: New focal length over the old one.
+        out: The new packed camera, shape (CAMERA_SIZE,).
+    """
+    out[:] = cam
+    out[0], out[1] = factor * cam[0], factor * cam[1]
+    u, v, _ = project_ground(out, 0.0, 0.0)
+    out[2], out[3] = cam[2] + goal[0] - u, cam[3] + goal[1] - v
+
+
+@njit(cache=True, nogil=True)
+def _zoom_rows(cameras, goals, factors, out):  # type: ignore[no-untyped-def]
+    for i in range(out.shape[0]):
+        zoom_into(cameras[i], goals[i], factors[i], out[i])
+
+
+def zoomed_cameras(cameras: ArrayLike, goals: ArrayLike, factors: ArrayLike) -> Array:
+    """Return packed cameras that magnify by factors about their goals, which stay where they are in the image.
+
+    Args:
+        cameras: Packed cameras. Shape (*batch, CAMERA_SIZE).
+        goals: Images of the points under the tools. Shape (*batch, 2), px.
+        factors: New focal length over the old one. Shape (*batch,).
+
+    Returns:
+        Packed cameras. Shape (*batch, CAMERA_SIZE).
+    """
+    batch, rows = _rows(cameras, goals, np.asarray(factors, dtype=np.float64)[..., None])
+    out = np.zeros((len(rows[0]), CAMERA_SIZE))
+    _zoom_rows(rows[0], rows[1], rows[2][:, 0], out)
+    return out.reshape(*batch, CAMERA_SIZE)
+
+
+@njit(cache=True, nogil=True)
 def project(cam, l1, l2, theta1, theta2, px, py):  # type: ignore[no-untyped-def]
     """Pixel (u, v) of the ground point (px, py) m seen from the arm's tool, and True if it is projectable."""
     phi = theta1 + theta2

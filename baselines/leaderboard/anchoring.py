@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -131,8 +132,12 @@ def bounds_of(cell: CellResults, bound: EpisodeBound | None) -> list[float] | No
     """Bounds of an agent's first episodes, at most `bound.episodes`; None if the environment has none."""
     if bound is None or cell.env_id != bound.env_id:
         return None
-    seeds = tuple(cell.seeds[: bound.episodes])
-    return _bounds(bound.values, json.dumps(cell.env_kwargs, sort_keys=True), seeds)
+    return bounds_on(bound, cell.env_kwargs, cell.seeds[: bound.episodes])
+
+
+def bounds_on(bound: EpisodeBound, env_kwargs: Mapping[str, Any], seeds: Sequence[int]) -> list[float] | None:
+    """Bounds of the episodes with these arguments of the environment and seeds; None if they have none."""
+    return _bounds(bound.values, json.dumps(env_kwargs, sort_keys=True), tuple(seeds))
 
 
 @lru_cache(maxsize=256)

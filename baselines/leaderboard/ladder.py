@@ -14,6 +14,7 @@ from servotrack.baselines.evaluation.bench import run_suite, suite_of
 from servotrack.baselines.evaluation.results import CellResults, ResultsFolder
 from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.leaderboard.anchoring import bounds_of, column_of
+from servotrack.baselines.leaderboard.ladder_axes import axes_text
 from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, summarize
 from servotrack.baselines.reporting.embed import embed
 from servotrack.baselines.reporting.grid import Grid, as_markdown
@@ -140,11 +141,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--split", default="tune", choices=("tune", "test"), help="seed range (default tune)")
     parser.add_argument("--results", type=Path, default=Path("results/ladder"), help="folder of the episodes")
     parser.add_argument("--tables", nargs="+", type=Path, help="only the tables, from what these folders hold")
-    parser.add_argument("--write", type=Path, help="page with the marks servo-ladder:begin and :end")
+    parser.add_argument("--axes", action="store_true", help="only the table of axes that no level has")
+    parser.add_argument("--write", type=Path, help="page with the marks servo-ladder (or servo-axes) :begin and :end")
     given = parser.parse_args(arguments)
     if given.episodes < 2:
         parser.error(f"--episodes must be at least 2, got {given.episodes}")
     with program("finished episodes are kept; run the same command again"):
+        if given.axes:
+            _put(axes_text(given.episodes, given.split), given.write, "servo-axes")
+            return
         cells = []
         for env_id in ENV_IDS:
             if given.tables is None:
@@ -154,9 +159,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         source = f"`scripts/servo-ladder --episodes {given.episodes} --split {given.split}`"
         versions = ", ".join(sorted({f"servotrack {cell.provenance['versions']['servotrack']}" for cell in cells}))
         text = ladder_text(cells, given.episodes, f"{source}, episodes by {versions}")
-        Console(soft_wrap=True, highlight=False).print(text, markup=False)
-        if given.write:
-            embed(text, given.write, "servo-ladder")
+        _put(text, given.write, "servo-ladder")
+
+
+def _put(text: str, page: Path | None, mark: str) -> None:
+    """Print a text, and put it between the marks of a page if one is given."""
+    Console(soft_wrap=True, highlight=False).print(text, markup=False)
+    if page:
+        embed(text, page, mark)
 
 
 if __name__ == "__main__":

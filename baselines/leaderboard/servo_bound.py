@@ -1,8 +1,9 @@
 """A bound on the servo's steady error: the column "x bound" divides by it, and the score is 1 there.
 
 The controller of the bound knows camera, links, latency, gains, noise levels, which frames are outliers, when something
-knocks the camera, and the law that its target is drawn from. Its filter has exactly that law, its encoders are prompt,
-and its arm has neither a lag nor a limit of rate. What is left is what no causal controller can know in time:
+knocks the camera, how its lens zooms, and the law that its target is drawn from. Its filter has exactly that law, its
+encoders are prompt, and its arm has neither a lag nor a limit of rate. What is left is what no causal controller can
+know in time:
 
 - the noise on the joint rates of the last period, of which the motors act on all but the first substep;
 - the joints and the target, from noisy encoders and from frames that are noisy, late or lost. A target along waves has
@@ -40,7 +41,7 @@ from servotrack.envs.servo.levels import ServoConfig, reach_config, servo_config
 from servotrack.envs.servo.streams import Stream
 from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.streams import Streams, episode_seed
-from servotrack.estimators.camera import image_jacobian
+from servotrack.estimators.camera import image_jacobian, zoomed_cameras
 from servotrack.estimators.rfs.bounds import expected_distance
 from servotrack.estimators.types import Array, Mask
 
@@ -130,6 +131,9 @@ def _group_bounds(config: ServoConfig, seeds: Sequence[int]) -> Array:
     struck = np.array([episode.knocked_at for episode in episodes])[:, None] <= np.arange(len(times))
     knocked = np.stack([episode.knocked for episode in episodes])
     cameras = np.where(struck[..., None], knocked[:, None], cameras[:, None])
+    if config.zoom:
+        factors = np.stack([episode.focal_factor for episode in episodes])
+        cameras = zoomed_cameras(cameras, np.broadcast_to(goals[:, None], (*factors.shape, 2)), factors)
     seen_joints, seen_place = _image_slopes(cameras, links, joints, paths)
     # A lag passes the rest of the noise on later, when it counts as known. Play in the gears may swallow it.
     passed = -math.expm1(-PERIOD / config.actuator_lag) if config.actuator_lag else 1.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 from servotrack.envs.arguments import Range, as_range, check_fields
-from servotrack.envs.servo.levels import ServoConfig, refuse_knock, rung
+from servotrack.envs.servo.levels import ServoConfig, refuse_changing_camera, rung
 
 SCRIPTS = ("plaza", "crossings")
 """Behavior of the other people: stroll and sometimes cross the person's path, or always cross it."""
@@ -65,7 +65,7 @@ class FollowConfig(ServoConfig):
     def __post_init__(self) -> None:
         """Check all fields; raises a ValueError with the argument, its value and the valid values."""
         super().__post_init__()
-        refuse_knock(self)
+        refuse_changing_camera(self)
         object.__setattr__(self, "pace", as_range("pace", self.pace))
         if not 0.1 <= self.pace[0] <= self.pace[1] <= 2.0:
             raise ValueError(f"pace must lie in [0.1, 2] m/s, got {self.pace!r}")

@@ -47,6 +47,7 @@ class Episode:
         encoder_age: Age of the observed joint angles, control periods.
         knocked_at: Sample from which on the camera is `knocked`; `NEVER` if it is never.
         knocked: Packed camera, turned about its axis by a knock. Shape (CAMERA_SIZE,).
+        focal_factor: Focal length over the drawn one at each sample. Shape (K,), or (0,) for a lens that does not zoom.
     """
 
     streams: Streams
@@ -64,6 +65,7 @@ class Episode:
     encoder_age: int
     knocked_at: int
     knocked: Array
+    focal_factor: Array
 
 
 def samples(config: ServoConfig) -> int:
@@ -109,7 +111,7 @@ def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -
 
 
 def empty_tables(config: ServoConfig, count: int) -> Tables:
-    """Return tables of `count` arms for the draws of a configuration, zeros."""
+    """Return tables of `count` arms for the draws of a configuration, without any effect yet."""
     length = samples(config)
     return Tables(
         paths=np.zeros((count, length, 4)),
@@ -117,6 +119,7 @@ def empty_tables(config: ServoConfig, count: int) -> Tables:
         rate_noise=np.zeros((count, length if any(config.actuation_noise) else 0, 2)),
         encoder_noise=np.zeros((count, length if any(config.encoder_noise) else 0, 2)),
         dropped=np.zeros((count, length if config.dropout or config.occlusion else 0), np.bool_),
+        focal_factor=np.ones((count, length if config.zoom else 0)),
     )
 
 

@@ -48,6 +48,9 @@ class ServoConfig:
         occlusion_length: Duration of an occlusion, s. The target moves on while it is hidden.
         knock: Largest rotation of the camera about its axis, either way, at an instant in the middle half of the
             episode, as if something had struck it, rad.
+        zoom: Largest relative change of the focal length during the episode, in and out in turn, from the drawn one.
+            The image grows about the goal, which stays where it is. Raising it makes Jacobians outdated sooner.
+        zoom_period: Time in which the lens zooms in, out and back, s.
         warmup: Unscored steps before time 0, with the target at rest.
         horizon: Scored steps of an episode.
         max_joint_rate: Joint rate at action 1, rad/s.
@@ -85,6 +88,8 @@ class ServoConfig:
     occlusion: float = 0.0
     occlusion_length: Range = (0.2, 0.5)
     knock: float = 0.0
+    zoom: float = 0.0
+    zoom_period: Range = (3.0, 8.0)
     warmup: int = 8
     horizon: int = 252
     max_joint_rate: float = 2.0
@@ -125,7 +130,7 @@ class ServoConfig:
 
 _RANGES = (
     "links", "focal", "depth", "distortion", "actuation_noise", "encoder_noise", "latency", "encoder_age",
-    "occlusion_length",
+    "occlusion_length", "zoom_period",
 )  # fmt: skip
 _WHOLE = ("warmup", "horizon", "substeps", "solver_iterations", "camera_size")
 _BOUNDS: tuple[tuple[str, float, float], ...] = (
@@ -152,6 +157,8 @@ _BOUNDS: tuple[tuple[str, float, float], ...] = (
     ("occlusion", 0.0, 2.0),
     ("occlusion_length", 0.05, 5.0),
     ("knock", 0.0, math.pi),
+    ("zoom", 0.0, 1.0),
+    ("zoom_period", 0.5, 100.0),
     ("warmup", 0, 1000),
     ("horizon", 1, 100_000),
     ("max_joint_rate", 0.1, 20.0),
@@ -216,12 +223,11 @@ def servo_config(level: int = 3, **axes: Any) -> ServoConfig:
     return ServoConfig(**rung(_LADDER, level, axes, AXES, ("render_mode",)))
 
 
-def refuse_knock(config: ServoConfig) -> None:
-    """Raise a ValueError for a knocked camera in a world with images, whose rays are traced once per episode."""
-    if config.knock:
-        raise ValueError(
-            f"knock must be 0 where images or people are rendered, got {config.knock}; use UncalibServo-v0"
-        )
+def refuse_changing_camera(config: ServoConfig) -> None:
+    """Raise a ValueError for a camera that changes in a world with images, whose rays are traced once per episode."""
+    for name in ("knock", "zoom"):
+        if value := getattr(config, name):
+            raise ValueError(f"{name} must be 0 where images or people are rendered, got {value}; use UncalibServo-v0")
 
 
 def rung(

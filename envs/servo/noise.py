@@ -44,6 +44,8 @@ class NoiseRanges(NamedTuple):
         encoder_age: Lowest and highest age of joint angles, samples.
         knock: Largest turn of a knocked camera, rad.
         knocks: First and last sample at which the camera may be knocked.
+        zoom: Largest relative change of the focal length.
+        zoom_period: Shortest and longest time in which the lens zooms in, out and back, s.
     """
 
     kind: int
@@ -60,6 +62,8 @@ class NoiseRanges(NamedTuple):
     encoder_age: tuple[int, int]
     knock: float
     knocks: tuple[int, int]
+    zoom: float
+    zoom_period: tuple[float, float]
 
 
 def noise_ranges_of(config: ServoConfig) -> NoiseRanges:
@@ -80,6 +84,8 @@ def noise_ranges_of(config: ServoConfig) -> NoiseRanges:
         encoder_age=(int(config.encoder_age[0]), int(config.encoder_age[1])),
         knock=config.knock,
         knocks=(scored + quarter, scored + 3 * quarter),
+        zoom=config.zoom,
+        zoom_period=config.zoom_period,
     )
 
 
@@ -113,6 +119,7 @@ def draw_noises(rows, seeds, ranges, constants, tables):  # type: ignore[no-unty
         _start(seed, Stream.ENCODER_AGE.value, state)
         own.encoder_age = _draw_whole(state, ranges.encoder_age)
         _draw_knock(seed, ranges, state, own)
+        _draw_zoom(seed, ranges, state, tables.focal_factor[row])
 
 
 @njit(cache=True, nogil=True)
@@ -206,3 +213,15 @@ def _draw_knock(seed, ranges, state, constants):  # type: ignore[no-untyped-def]
         turn = draw_uniform(state, -ranges.knock, ranges.knock)
         cosine, sine = math.cos(turn), math.sin(turn)
         knocked[5], knocked[6] = camera[5] * cosine - camera[6] * sine, camera[6] * cosine + camera[5] * sine
+
+
+@njit(cache=True, nogil=True)
+def _draw_zoom(seed, ranges, state, focal_factor):  # type: ignore[no-untyped-def]
+    """Draw the focal length over the drawn one, (K,): 1 until the reset, then along a sine of its logarithm."""
+    if focal_factor.shape[0] == 0:
+        return
+    _start(seed, Stream.ZOOM.value, state)
+    size = math.log1p(ranges.zoom) if draw_share(state) < 0.5 else -math.log1p(ranges.zoom)
+    rate = 2.0 * math.pi / draw_uniform(state, ranges.zoom_period[0], ranges.zoom_period[1])
+    for k in range(focal_factor.shape[0]):
+        focal_factor[k] = math.exp(size * math.sin(rate * (max(k - LEAD, 0) * PERIOD)))

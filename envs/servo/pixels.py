@@ -9,7 +9,7 @@ import numpy as np
 
 from servotrack.envs.servo.env import Observation, UncalibServoEnv, feature_space
 from servotrack.envs.servo.imaging import ImageSensor
-from servotrack.envs.servo.levels import ServoConfig, refuse_knock
+from servotrack.envs.servo.levels import ServoConfig, refuse_changing_camera
 from servotrack.envs.servo.vector import UncalibServoVectorEnv
 from servotrack.envs.state import Stateful
 
@@ -89,7 +89,7 @@ class UncalibServoPixelsEnv(UncalibServoEnv):
     ) -> None:
         self.image_size, self.image_noise = check_image_arguments(image_size, image_noise)
         super().__init__(level, render_mode=render_mode, **axes)
-        refuse_knock(self.config)
+        refuse_changing_camera(self.config)
         self._sensor = ImageSensor(self.world, self.image_size, self.image_noise)
 
     def _observation_space(self) -> gym.spaces.Dict:
@@ -129,7 +129,7 @@ class UncalibServoPixelsVectorEnv(UncalibServoVectorEnv):
     ) -> None:
         self.image_size, self.image_noise = check_image_arguments(image_size, image_noise)
         super().__init__(num_envs, level, **arguments)
-        refuse_knock(self.config)
+        refuse_changing_camera(self.config)
         self._sensor = ImageSensor(self.world, self.image_size, self.image_noise)
 
     def _single_observation_space(self) -> gym.spaces.Dict:

@@ -51,7 +51,7 @@ class Recorder:
         """
         world, row = self._world, self._row
         size = world.config.camera_size
-        view = (world.cameras[row], world.links[row], world.joints[row], size)
+        view = (world.present_cameras()[row], world.links[row], world.joints[row], size)
         past = slice(self._first, int(world.steps[row]) + 1)
         return draw(
             ServoScene(

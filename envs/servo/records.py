@@ -115,6 +115,7 @@ class Tables(NamedTuple):
         rate_noise: Noise of the joint rates, (N, K or 0, 2) rad/s.
         encoder_noise: Noise of the encoders, (N, K or 0, 2) rad.
         dropped: Mask of the lost frames, (N, K or 0).
+        focal_factor: Focal length over the drawn one, (N, K or 0).
     """
 
     paths: Array
@@ -122,3 +123,4 @@ class Tables(NamedTuple):
     rate_noise: Array
     encoder_noise: Array
     dropped: Mask
+    focal_factor: Array

@@ -13,7 +13,7 @@ from servotrack.envs.servo.layout import Ranges, draw_layouts
 from servotrack.envs.servo.noise import NoiseRanges, draw_noises
 from servotrack.envs.servo.records import RING
 from servotrack.envs.servo.targets import JOINT_HIGH, JOINT_LOW, LEAD, PERIOD, START
-from servotrack.estimators.camera import project
+from servotrack.estimators.camera import project, zoom_into
 from servotrack.estimators.compilation import njit
 
 _REWARD_SCALE = 0.002  # tracking error at which the reward's slope becomes logarithmic, m
@@ -183,12 +183,24 @@ def capture(camera, links, before, after, history, frame, size, shutter):  # typ
 
 
 @njit(cache=True, nogil=True)
+def _camera_at(sample, constants, focal_factor):  # type: ignore[no-untyped-def]
+    """Return the packed camera at a sample, knocked or zoomed."""
+    # The compiler tells fields of a record and arrays apart; a slice of a field is an array.
+    camera = constants.camera[:] if sample < constants.knocked_at else constants.knocked[:]
+    if focal_factor.shape[0] == 0:
+        return camera
+    zoomed = np.empty_like(camera)
+    zoom_into(camera, constants.goal, focal_factor[sample], zoomed)
+    return zoomed
+
+
+@njit(cache=True, nogil=True)
 def _sense(i, settings, constants, tables, joints, history, sample):  # type: ignore[no-untyped-def]
     """Compute the newest sample of row `i`: truth, score and sensor readings."""
     size, shutter, warmup = settings.camera_size, settings.shutter, settings.warmup
     links = constants.links
     path, feature_noise = tables.paths[i], tables.feature_noise[i]
-    encoder_noise, dropped = tables.encoder_noise[i], tables.dropped[i]
+    encoder_noise, dropped, focal_factor = tables.encoder_noise[i], tables.dropped[i], tables.focal_factor[i]
     now = sample.steps + LEAD
     theta1, theta2 = joints[0], joints[1]
     history[now % RING, 0] = theta1
@@ -202,7 +214,7 @@ def _sense(i, settings, constants, tables, joints, history, sample):  # type: ig
     tool[1] = links[0] * math.sin(theta1) + links[1] * math.sin(theta1 + theta2)
     distance = math.hypot(tool[0] - target[0], tool[1] - target[1])
     sample.tracking_error = distance
-    camera = constants.camera if now < constants.knocked_at else constants.knocked
+    camera = _camera_at(now, constants, focal_factor)
     u, v, seen = project(camera, links[0], links[1], theta1, theta2, target[0], target[1])
     sample.feature_error = math.hypot(u - constants.goal[0], v - constants.goal[1])
     in_view = seen and 0.0 <= u < size and 0.0 <= v < size
@@ -224,7 +236,7 @@ def _sense(i, settings, constants, tables, joints, history, sample):  # type: ig
     sample.captured = frame
     # A frame of this very instant shows what was projected above.
     if frame != now or shutter > 0.0:
-        camera = constants.camera if frame < constants.knocked_at else constants.knocked
+        camera = _camera_at(frame, constants, focal_factor)
         u, v, in_view = capture(camera, links, path[frame - 1], path[frame], history, frame, size, shutter)
     if not in_view:
         return

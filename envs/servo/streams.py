@@ -31,3 +31,4 @@ class Stream(IntEnum):
     ENCODER_AGE = 20
     OCCLUSION = 21
     KNOCK = 22
+    ZOOM = 23

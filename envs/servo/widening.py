@@ -8,16 +8,17 @@ from typing import Any
 
 from servotrack.envs.servo.levels import ServoConfig
 
-_CENTERED = ("mounting", "principal_offset", "tilt", "aspect", "actuation_gain", "knock")
+_CENTERED = ("mounting", "principal_offset", "tilt", "aspect", "actuation_gain", "knock", "zoom")
 """Largest deviations from a center, either way."""
 _RATES = ("pixel_noise", "outlier_rate", "outlier_size", "dropout", "occlusion")
 """Sizes and rates of what is random at every frame."""
 _WHOLE = ("latency", "encoder_age")
-_IDLE_WITHOUT = {"outlier_size": "outlier_rate", "occlusion_length": "occlusion"}
+_IDLE_WITHOUT = {"outlier_size": "outlier_rate", "occlusion_length": "occlusion", "zoom_period": "zoom"}
 """Quantities that have no effect where another one is 0."""
 _CROWD_RATES = ("look_alikes", "clutter", "misses", "color_noise")
 _LARGEST = {"mounting": math.pi, "tilt": 0.6, "aspect": 0.5, "actuation_gain": 0.5, "dropout": 0.95, "distortion": 0.33,
-            "pace": 2.0, "look_alikes": 1.0, "misses": 0.95, "outlier_rate": 1.0, "latency": 4.0}  # fmt: skip
+            "pace": 2.0, "zoom": 1.0, "look_alikes": 1.0, "misses": 0.95, "outlier_rate": 1.0,
+            "latency": 4.0}  # fmt: skip
 
 
 def widened_axes(config: ServoConfig, share: float = 0.25) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from servotrack.envs.servo.sensing import EpisodeDraws, advance, begin, command,
 from servotrack.envs.servo.targets import LEAD, PERIOD, START
 from servotrack.envs.servo.threads import Threads
 from servotrack.envs.state import State, entry, part, put, taken
-from servotrack.estimators.camera import image_jacobian
+from servotrack.estimators.camera import image_jacobian, zoomed_cameras
 from servotrack.estimators.types import Array, Labels, Mask
 
 LOST_SAMPLES = 20
@@ -320,11 +320,11 @@ class ServoWorld:
         """Additional observations for agents that see the truth, arrays of N rows.
 
         Returns:
-            `true_jacobian` (N, 2, 3) at the current time, px/rad and px/s; `true_camera` (N, CAMERA_SIZE), packed as in
-            `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2) m; `true_latency` (N, 1) s, the age of a
-            frame minus the age according to its stamp; `true_readout` (N, 1) s, duration of the rolling shutter;
-            `true_noise` (N, 2), standard deviations of encoders (rad) and joint rates (rad/s); `true_gain` (N, 2),
-            factors on the joint rates.
+            `true_jacobian` (N, 2, 3) at the current time, px/rad and px/s, without the motion of a lens that zooms;
+            `true_camera` (N, CAMERA_SIZE), packed as in `servotrack.estimators.camera.pack_camera`; `true_links` (N, 2)
+            m; `true_latency` (N, 1) s, the age of a frame minus the age according to its stamp; `true_readout` (N, 1)
+            s, duration of the rolling shutter; `true_noise` (N, 2), standard deviations of encoders (rad) and joint
+            rates (rad/s); `true_gain` (N, 2), factors on the joint rates.
         """
         # An unstamped frame has its time of arrival, half a readout after its middle row was read.
         hidden = np.where(self.config.stamped, 0.0, self.latency * PERIOD + 0.5 * self.config.rolling_shutter)
@@ -341,9 +341,10 @@ class ServoWorld:
         }
 
     def present_cameras(self) -> Array:
-        """Return the packed cameras as they are now, knocked or not. Shape (N, CAMERA_SIZE)."""
-        turned = self.steps + LEAD >= self._constants["knocked_at"]
-        return np.where(turned[:, None], self._constants["knocked"], self.cameras)
+        """Return the packed cameras as they are now, knocked and zoomed. Shape (N, CAMERA_SIZE)."""
+        now, factors = self.steps + LEAD, self._tables.focal_factor
+        cameras = np.where((now >= self._constants["knocked_at"])[:, None], self._constants["knocked"], self.cameras)
+        return zoomed_cameras(cameras, self.goal, factors[np.arange(self.count), now]) if factors.size else cameras
 
     def debug_view(self, row: int = 0) -> str:
         """State of one row as text, for debugging."""

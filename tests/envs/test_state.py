@@ -27,6 +27,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "backlash": 0.01,
         "actuator_lag": 0.1,
         "knock": 1.0,
+        "zoom": 0.3,
     },
     "UncalibServoReach-v0": {"level": 6, "horizon": 30},
     "UncalibServoPixels-v0": {"level": 5, "image_size": 32, "horizon": 30, "dropout": 0.5},

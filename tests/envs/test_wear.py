@@ -1,4 +1,4 @@
-"""Faults of a worn arm: old encoder readings, lag, backlash, occlusions, and a camera that is knocked."""
+"""Faults of a worn arm (old encoder readings, lag, backlash, occlusions, a knocked camera), and a lens that zooms."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from servo_history import run, wiggle
 from test_engines import assert_equal
 
+from servotrack.baselines.leaderboard.servo_bound import steady_bounds
 from servotrack.envs.servo.engine import ENGINES
 from servotrack.envs.servo.episode import draw_episode
 from servotrack.envs.servo.levels import servo_config
@@ -18,7 +19,7 @@ from servotrack.envs.servo.noise import NEVER
 from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.envs.wrappers import VectorPrivilegedObservation
-from servotrack.estimators.camera import project_points
+from servotrack.estimators.camera import project_points, zoomed_cameras
 
 WORN: dict[str, Any] = {
     "encoder_age": (0, 3),
@@ -27,6 +28,7 @@ WORN: dict[str, Any] = {
     "occlusion": 1.0,
     "occlusion_length": (0.2, 0.6),
     "knock": 0.5,
+    "zoom": 0.3,
 }
 
 
@@ -108,8 +110,48 @@ def test_the_truth_shows_the_camera_after_the_knock() -> None:
     assert (np.abs(last["true_camera"][:, 5:7] - first["true_camera"][:, 5:7]).max(axis=1) > 1e-6).all()
 
 
+def test_a_zoom_magnifies_about_the_goal() -> None:
+    config = servo_config(3, pixel_noise=0.0, zoom=0.4, zoom_period=2.0, latency=(1, 1), horizon=80)
+    for seed in range(4):
+        episode = draw_episode(config, seed)
+        factors = episode.focal_factor
+        assert (factors[: LEAD + 1] == 1.0).all()
+        assert factors.max() == pytest.approx(1.4) and factors.min() == pytest.approx(1.0 / 1.4)
+        # A quarter of a period after the reset the lens is at one end, a period after it where it was.
+        assert factors[LEAD + 10] in (pytest.approx(1.4), pytest.approx(1.0 / 1.4))
+        assert factors[LEAD + 40] == pytest.approx(1.0)
+        history = run(config, wiggle(70, 1), [seed])
+        for frame in range(69):
+            camera = zoomed_cameras(episode.camera, episode.goal, factors[frame + LEAD])
+            assert camera[:2] == pytest.approx(factors[frame + LEAD] * episode.camera[:2])
+            joints, target = history["joints"][frame, 0], history["target"][frame, 0, :2]
+            tool, _ = project_points(camera, episode.links, joints, history["tool"][frame, 0])
+            np.testing.assert_allclose(tool, episode.goal, atol=1e-9)
+            if history["visible"][frame + 1, 0]:
+                pixel, _ = project_points(camera, episode.links, joints, target)
+                np.testing.assert_allclose(history["features"][frame + 1, 0], pixel, atol=1e-9)
+
+
+def test_the_truth_shows_the_zoomed_camera() -> None:
+    world = ServoWorld(servo_config(2, zoom=0.3, knock=0.5), 3)
+    world.reset(range(3), range(3))
+    for action in wiggle(200, 3):
+        world.step(action)
+        seen, _ = project_points(world.present_cameras(), world.links, world.joints, world.target[:, :2])
+        np.testing.assert_allclose(np.hypot(*(seen - world.goal).T), world.feature_error, rtol=1e-9)
+
+
+def test_the_bound_knows_the_zoom() -> None:
+    seeds = list(range(100_000, 100_008))
+    still, zooming = (steady_bounds(servo_config(2, zoom=zoom), seeds).mean() for zoom in (0.0, 0.3))
+    assert zooming == pytest.approx(still, rel=0.1) and zooming != still
+
+
 def test_without_faults_nothing_is_drawn() -> None:
-    plain, off = (ServoWorld(servo_config(5, **axes), 3) for axes in ({}, {"knock": 0.0, "occlusion_length": (1, 2)}))
+    plain, off = (
+        ServoWorld(servo_config(5, **axes), 3)
+        for axes in ({}, {"knock": 0.0, "occlusion_length": (1, 2), "zoom_period": 4})
+    )
     for world in (plain, off):
         world.reset(range(3), range(3))
         for action in wiggle(40, 3):
@@ -132,11 +174,12 @@ def test_worn_worlds_agree_to_the_bit_with_both_engines() -> None:
 
 
 @pytest.mark.parametrize("env_id", ["UncalibServoPixels-v0", "PedestrianServo-v0"])
-def test_a_camera_that_renders_cannot_be_knocked(env_id: str) -> None:
-    with pytest.raises(ValueError, match="knock must be 0 where images or people are rendered"):
-        gym.make(env_id, knock=0.1)
-    with pytest.raises(ValueError, match="knock must be 0 where images or people are rendered"):
-        gym.make_vec(env_id, num_envs=2, knock=0.1)
+@pytest.mark.parametrize("name", ["knock", "zoom"])
+def test_a_camera_that_renders_does_not_change(env_id: str, name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be 0 where images or people are rendered"):
+        gym.make(env_id, **{name: 0.1})
+    with pytest.raises(ValueError, match=f"{name} must be 0 where images or people are rendered"):
+        gym.make_vec(env_id, num_envs=2, **{name: 0.1})
 
 
 def test_bad_faults_are_named() -> None:
@@ -145,6 +188,8 @@ def test_bad_faults_are_named() -> None:
         ({"encoder_age": (0, 9)}, "encoder_age must lie in"),
         ({"backlash": -0.1}, "backlash must lie in"),
         ({"occlusion_length": 0.0}, "occlusion_length must lie in"),
+        ({"zoom": 1.5}, "zoom must lie in"),
+        ({"zoom_period": 0.1}, "zoom_period must lie in"),
     ):
         with pytest.raises(ValueError, match=message):
             servo_config(3, **axes)  # type: ignore[arg-type]

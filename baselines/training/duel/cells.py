@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -78,9 +79,14 @@ class Cell:
         return self._columns(agent, HELD_OUT_EPISODES, self.held_out_kwargs)
 
     def _columns(self, agent: AgentCard, count: int, env_kwargs: dict[str, Any]) -> Columns:
-        rows, _ = run_episodes(self.env_id, agent, seed_ranges.take("test", count, FIRST_TEST_SEED), env_kwargs)
+        rows, _ = run_episodes(self.env_id, agent, test_seeds(count), env_kwargs)
         names = dict.fromkeys((*_KEPT, *(metric.column for metric in self.world.shown)))
         return {name: [_short(row[name]) for row in rows] for name in names}
+
+
+def test_seeds(count: int) -> Sequence[int]:
+    """Return the first seeds on which all methods are tested."""
+    return seed_ranges.take("test", count, FIRST_TEST_SEED)
 
 
 @lru_cache

@@ -15,7 +15,8 @@ from servotrack.baselines.training.duel.scoring import Entry
 
 _COLORS = ("#222222", "#1f8a70", "#7bc8b4", "#c8553d", "#e3a18f", "#3d6cb9", "#8a5fb0", "#b08d2f", "#d14f9a")
 _MARKERS = "osD^v<>P"
-_ANCHORS = ("random", "oracle")
+_NOT_DRAWN = ("random", "oracle")
+"""Agents without skill, or with knowledge that no method has."""
 
 
 def _look(method: str) -> tuple[str, str]:
@@ -60,7 +61,7 @@ def draw_budgets(entries: Sequence[Entry], path: Path) -> None:
                         entry
                         for entry in here
                         if not entry.budget
-                        and entry.method not in _ANCHORS
+                        and entry.method not in _NOT_DRAWN
                         and entry.method.startswith(SHIPPED_PREFIX) == learned
                     ]
                     if shipped:

@@ -182,7 +182,7 @@ REFERENCES: Mapping[str, tuple[str, ...]] = {
     ),
     "follow": ("random", "phd-servo", "crowd-servo", "shipped-follower"),
 }
-"""Agents as shipped, without a budget in the cell, by kind of world; the anchors of the score are among them."""
+"""Agents as shipped, without a budget in the cell, by kind of world; the agent of the score 0 is among them."""
 SHIPPED_PREFIX = "shipped-"
 SHIPPED = frozenset(name for names in REFERENCES.values() for name in names)
 """Names of all agents of `REFERENCES`."""

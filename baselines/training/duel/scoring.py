@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from servotrack.baselines.evaluation import statistics
+from servotrack.baselines.leaderboard.anchoring import Anchoring, bounds_on
 from servotrack.baselines.reporting.files import ResultsError
-from servotrack.baselines.training.duel.cells import Cell, Columns
+from servotrack.baselines.training.duel.cells import Cell, Columns, test_seeds
 from servotrack.baselines.training.duel.rows import DuelRow
 from servotrack.estimators.types import Array
 
@@ -57,24 +58,22 @@ class Entry:
         return self.scores.mean(axis=1)
 
 
-def score_episodes(cell: Cell, columns: Columns, lower: Columns, upper: Columns) -> Array:
+def score_episodes(cell: Cell, columns: Columns, anchoring: Anchoring | None) -> Array:
     """Return the score of each episode; larger is better.
 
     Args:
         cell: The cell.
         columns: Numbers of the episodes to score.
-        lower: Those of the lower anchor on the same seeds, see `ScoreAnchors`.
-        upper: Those of the upper anchor.
+        anchoring: Errors at the scores 0 and 1, as in the leaderboards; None in worlds without anchors.
 
     Returns:
-        In worlds with anchors, `statistics.score` of the error; in the others the metric that ranks agents, with its
-        sign turned where less is better. Shape (K,).
+        Score of the error; without anchors the metric that ranks agents, with its sign turned where less is better.
+        Shape (K,).
     """
-    anchors, headline = cell.world.anchors, cell.world.headline
-    if anchors is None:
+    headline = cell.world.headline
+    if anchoring is None:
         return (1.0 if headline.high_is_good else -1.0) * np.array(columns[headline.column], np.float64)
-    errors, low, high = (np.array(part[anchors.column], np.float64) for part in (columns, lower, upper))
-    return statistics.score(np.maximum(errors, anchors.least_share * high.min()), low, high)
+    return anchoring.scale(np.array(columns[anchoring.ends.column], np.float64))
 
 
 def entries_of(rows: Sequence[DuelRow]) -> list[Entry]:
@@ -91,20 +90,15 @@ def entries_of(rows: Sequence[DuelRow]) -> list[Entry]:
 
 def _entry(rows: list[DuelRow], groups: dict[tuple[str, str, int], list[DuelRow]]) -> Entry:
     cell = rows[0].cell
-    anchors = cell.world.anchors
-    names = (anchors.lower, anchors.upper) if anchors else (rows[0].method, rows[0].method)
-    ends = [groups.get((cell.title, name, 0 if anchors else rows[0].budget)) for name in names]
-    if not all(ends):
-        raise ResultsError(f"{cell.title} has no rows of {' and '.join(names)}; run them: scripts/duel run --methods")
-    counts = {
-        (len(row.test["return"]), len(row.held_out["return"])) for row in (*rows, *(end[0] for end in ends if end))
-    }
+    references = [found[0] for (title, _, budget), found in groups.items() if (title, budget) == (cell.title, 0)]
+    by_name = {row.method: row for row in references}
+    counts = {(len(row.test["return"]), len(row.held_out["return"])) for row in (*rows, *references)}
     if len(counts) != 1:
         raise ResultsError(f"{cell.title} has rows of different numbers of episodes, {sorted(counts)}; run them again")
 
-    def scores(part: str) -> Array:
-        lower, upper = (getattr(end[0], part) for end in ends if end)
-        return np.array([score_episodes(cell, getattr(row, part), lower, upper) for row in rows])
+    def scores(part: str, env_kwargs: Mapping[str, Any]) -> Array:
+        anchoring = _anchoring(cell, {name: getattr(row, part) for name, row in by_name.items()}, env_kwargs)
+        return np.array([score_episodes(cell, getattr(row, part), anchoring) for row in rows])
 
     def column(part: str, name: str) -> Array:
         return np.array([getattr(row, part)[name] for row in rows], np.float64)
@@ -116,12 +110,42 @@ def _entry(rows: list[DuelRow], groups: dict[tuple[str, str, int], list[DuelRow]
         rows[0].method,
         rows[0].information,
         rows[0].budget,
-        scores("test"),
+        scores("test", cell.env_kwargs),
         column("test", "success"),
         column("test", cell.world.headline.column),
-        scores("held_out"),
+        scores("held_out", cell.held_out_kwargs),
         column("held_out", "success"),
         max(taken),
         sum(searched) / max(1, sum(taken)),
         float(np.mean([row.seconds for row in rows])),
     )
+
+
+def _anchoring(cell: Cell, references: Mapping[str, Columns], env_kwargs: Mapping[str, Any]) -> Anchoring | None:
+    """Return the scale of the leaderboards for the episodes of a cell, None in worlds without one.
+
+    Args:
+        cell: The cell.
+        references: Numbers of the reference agents' episodes by name.
+        env_kwargs: Arguments of the environment in these episodes.
+
+    Raises:
+        ResultsError: An anchor without rows.
+    """
+    ends = cell.world.anchors
+    if ends is None:
+        return None
+    bound = cell.world.bound_of(cell.env_id)
+    bounded = bound is not None and bound.column == ends.column
+    needed = (ends.lower,) if bounded else (ends.lower, ends.upper)
+    if lacking := [name for name in needed if name not in references]:
+        raise ResultsError(
+            f"{cell.title} has no rows of {' and '.join(lacking)}; run `scripts/duel run` with "
+            f"--methods {' '.join(lacking)}"
+        )
+    lower, *others = (np.array(references[name][ends.column], np.float64) for name in needed)
+    seeds = test_seeds(len(lower))
+    if bound is None or not bounded:
+        return Anchoring(ends, frozenset(seeds), lower, others[0]).checked()
+    least = np.array(bounds_on(bound, env_kwargs, seeds), np.float64)
+    return Anchoring(ends, frozenset(seeds), lower, least, bound).checked()
