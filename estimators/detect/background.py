@@ -17,7 +17,7 @@ from servotrack.estimators.detect.detections import Detections
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
-from servotrack.estimators.detect.runs import clear_removed, label_runs, measure_runs
+from servotrack.estimators.detect.runs import clear_removed, label_again, label_runs, measure_runs
 from servotrack.estimators.detect.soft_light import SoftLightRules, is_shadow, trim_soft_light
 from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
 from servotrack.estimators.types import Array, FloatArray, Image
@@ -243,9 +243,8 @@ class MaskedBackground:
         foreground, threshold = self._foreground(difference, image, state.rounded)
         noise = self._noise_level(state, difference)
         found = self._regions(difference, foreground, threshold, noise, state.sizes)
-        background = state.background.copy()
-        held = foreground if self.hold == "pixels" else found.mask
-        cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
+        held = found.runs if self.hold == "blobs" else label_runs(foreground)[0]
+        background = _learned(image, state.background, held, np.float32(self.learning_rate))
         frames, still = state.frames + 1, state.still
         if still is not None:
             still = Stillness(still.level, still.age, still.passed + dt)
@@ -317,7 +316,7 @@ class MaskedBackground:
         # The mask may be the foreground itself, which `hold` needs unchanged.
         mask = mask.copy() if mask is foreground else mask
         if not 0.0 < faint < threshold:
-            return self._labeled(mask, None, None)
+            return self._joined(mask, *label_runs(mask), None, None)
         faint_runs, count = label_runs(self.blobs.clean(_above(difference, faint), typical))
         faint_boxes = measure_runs(faint_runs, count)[0]
         rules = self.faint_rules
@@ -325,11 +324,17 @@ class MaskedBackground:
             seeds = min(rules.seeds, max(round(rules.seeds * (typical / REFERENCE_HEIGHT) ** 2), rules.fewest))
             rules = rules._replace(seeds=seeds)
         add_faint_regions(mask, faint_runs, faint_boxes, rules)
-        return self._labeled(mask, faint_runs, faint_boxes)
+        return self._joined(mask, *label_runs(mask), faint_runs, faint_boxes)
 
-    def _labeled(self, mask: Image, faint_runs: NDArray[np.int32] | None, faint_boxes: Array | None) -> _Regions:
-        """Regions of a mask; parts within one slender faint region have the same index."""
-        runs, count = label_runs(mask)
+    def _joined(
+        self,
+        mask: Image,
+        runs: NDArray[np.int32],
+        count: int,
+        faint_runs: NDArray[np.int32] | None,
+        faint_boxes: Array | None,
+    ) -> _Regions:
+        """Regions of a mask; parts within one slender faint region get the same index, in place."""
         if faint_runs is not None:
             join_by_faint_regions(runs, count, faint_runs, faint_boxes, self.faint_rules)
         return _Regions(mask, runs, count, faint_runs, faint_boxes)
@@ -380,18 +385,18 @@ class MaskedBackground:
         if not removed:
             return found
         clear_removed(mask, found.runs)
-        return self._labeled(mask, found.faint_runs, found.faint_boxes)
+        return self._joined(mask, *label_again(found.runs), found.faint_runs, found.faint_boxes)
 
     def _difference(self, image: Image, background: Image) -> Image:
         """Difference of each pixel to the background, gray levels."""
         if self.color == "gray" and image.ndim == 3:
             gray, gray_background = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (image, background))
             return np.asarray(cv2.absdiff(gray, gray_background), dtype=np.uint8)
-        difference = cv2.absdiff(image, background)
-        if image.ndim == 3:
-            red, green, blue = cv2.split(difference)
-            difference = cv2.max(cv2.max(red, green), blue)
-        return np.asarray(difference, dtype=np.uint8)
+        if image.ndim == 2:
+            return np.asarray(cv2.absdiff(image, background), dtype=np.uint8)
+        difference = np.empty(image.shape[:2], np.uint8)
+        _largest_difference(image.reshape(-1), background.reshape(-1), difference.reshape(-1))
+        return difference
 
     def _foreground(self, difference: Image, image: Image, background: Image) -> tuple[Image, float]:
         """Mask of the pixels that differ (equation 5), and the threshold."""
@@ -425,6 +430,19 @@ def frames_of_same_light(frames: list[Image], change: float, share: float, width
     return len(frames)
 
 
+@njit(cache=True, nogil=True)
+def _largest_difference(image, background, difference):  # type: ignore[no-untyped-def]
+    for n in range(difference.size):
+        red, other_red = image[3 * n], background[3 * n]
+        green, other_green = image[3 * n + 1], background[3 * n + 1]
+        blue, other_blue = image[3 * n + 2], background[3 * n + 2]
+        # In uint8 all along, so that the compiler vectorizes this loop.
+        red = np.uint8(max(red, other_red) - min(red, other_red))
+        green = np.uint8(max(green, other_green) - min(green, other_green))
+        blue = np.uint8(max(blue, other_blue) - min(blue, other_blue))
+        difference[n] = max(red, max(green, blue))
+
+
 def _rounded(background: FloatArray) -> Image:
     return np.asarray(cv2.convertScaleAbs(background), dtype=np.uint8)
 
@@ -434,10 +452,30 @@ def _above(difference: Image, threshold: float) -> Image:
     return np.asarray(cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
+def _learned(image: Image, background: FloatArray, held: NDArray[np.int32], rate: np.float32) -> FloatArray:
+    """Return the background after a frame (equation 6); it stays as it was under the runs `held`."""
+    learned, channels = np.empty_like(background), image.shape[2] if image.ndim == 3 else 1
+    _learn(image.reshape(-1), background.reshape(-1), held, image.shape[1], channels, rate, learned.reshape(-1))
+    return learned
+
+
+@njit(cache=True, nogil=True)
+def _learn(image, background, held, width, channels, rate, learned):  # type: ignore[no-untyped-def]
+    # One pass over memory instead of a copy and a masked update. Products of two float32 numbers are exact in double
+    # precision, so that the sum is rounded once, as by a fused multiplication and addition.
+    kept = np.float64(np.float32(1.0) - rate)
+    for n in range(image.size):
+        learned[n] = kept * np.float64(background[n]) + np.float64(rate * np.float32(image[n]))
+    for run in range(len(held)):
+        start = held[run, 0] * width
+        for n in range((start + held[run, 1]) * channels, (start + held[run, 2]) * channels):
+            learned[n] = background[n]
+
+
 @njit(cache=True, nogil=True)
 def _drop_shadows(mask, image, background, rules):  # type: ignore[no-untyped-def]
     """Remove pixels whose channels are all darker by about the same factor, in place."""
     for row in range(mask.shape[0]):
         for column in range(mask.shape[1]):
-            if mask[row, column] and is_shadow(image[row], background[row], column, column + 1, rules):
+            if mask[row, column] and is_shadow(image, background, row, column, column + 1, rules):
                 mask[row, column] = 0
