@@ -52,6 +52,7 @@ class BackgroundState(NamedTuple):
         flooded: Time for which the foreground has covered more than `flood` of the image, s.
         still: Content of the foreground and for how long it has not changed; None without `MaskedBackground.still`.
         noise: Gray levels that most background pixels do not exceed; 0 before they are measured.
+        brightness: Median gray level of the background, measured together with the noise.
         motion: Memory of the checks for a moving camera.
         notice: Sentence on what does not work at the moment, with the remedy; empty if all is well.
     """
@@ -64,6 +65,7 @@ class BackgroundState(NamedTuple):
     flooded: float
     still: Stillness | None
     noise: float
+    brightness: float
     motion: CameraMotion
     notice: str
 
@@ -218,7 +220,7 @@ class MaskedBackground:
         mask = np.zeros((height, width), np.uint8)
         still = no_stillness(height, width) if self.still is not None and self.heal_every else None
         return BackgroundState(
-            first, _rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, CameraMotion(), notice
+            first, _rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, 255.0, CameraMotion(), notice
         )
 
     def step(
@@ -241,7 +243,7 @@ class MaskedBackground:
         image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
         foreground, threshold = self._foreground(difference, image, state.rounded)
-        noise = self._noise_level(state, difference)
+        noise, brightness = self._noise_level(state, difference)
         found = self._regions(difference, foreground, threshold, noise, state.sizes)
         held = found.runs if self.hold == "blobs" else label_runs(foreground)[0]
         background = _learned(image, state.background, held, np.float32(self.learning_rate))
@@ -264,9 +266,19 @@ class MaskedBackground:
         elif self.edges and found.number:
             found = self._without_soft_light(found, image, state.rounded, background, threshold)
         sizes, detections = self.blobs.find(state.sizes, found.runs, found.number, image)
-        notice = self._notice(motion, flooded, share, dt) or self.blobs.notice(sizes)
+        notice = self._notice(motion, flooded, share, dt) or self.blobs.notice(sizes) or self._darkness(brightness)
         return BackgroundState(
-            background, _rounded(background), found.mask, sizes, frames, flooded, still, noise, motion, notice
+            background,
+            _rounded(background),
+            found.mask,
+            sizes,
+            frames,
+            flooded,
+            still,
+            noise,
+            brightness,
+            motion,
+            notice,
         ), detections
 
     def _motion(self, state: BackgroundState, dt: float, image: Image, share: float, regions: int) -> CameraMotion:
@@ -295,18 +307,33 @@ class MaskedBackground:
             )
         return ""
 
-    def _noise_level(self, state: BackgroundState, difference: Image) -> float:
-        """Gray levels that most of the background does not exceed, smoothed; from a sample of pixels."""
+    def _darkness(self, brightness: float) -> str:
+        """Sentence on a picture in which people darker than the background cannot be seen; empty for others."""
+        if isinstance(self.threshold, str) or brightness >= self.threshold:
+            return ""
+        return (
+            f"the picture is dark: half of it is below {self.threshold:.0f} gray levels, where nothing that is darker "
+            "can be found; use more light, a longer exposure, or a detector for dark pictures, such as --detector "
+            "model.onnx"
+        )
+
+    def _noise_level(self, state: BackgroundState, difference: Image) -> tuple[float, float]:
+        """Gray levels that most of the background does not exceed, smoothed, and the median of its brightest channel.
+
+        Both are taken from a sample of pixels.
+        """
         rules = self.noise
         if rules is None or state.frames % rules.every:
-            return state.noise
+            return state.noise, state.brightness
         sampled = (slice(None, None, rules.stride),) * 2
+        known = state.rounded[sampled]
+        brightness = float(np.median(known.max(axis=2) if known.ndim == 3 else known))
         sample = difference[sampled][state.mask[sampled] == 0]
         if len(sample) < rules.stride:
-            return state.noise
+            return state.noise, brightness
         rank = int(rules.quiet * (len(sample) - 1))
         level = float(np.partition(sample, rank)[rank])
-        return level if state.noise == 0.0 else state.noise + rules.rate * (level - state.noise)
+        return level if state.noise == 0.0 else state.noise + rules.rate * (level - state.noise), brightness
 
     def _regions(self, difference: Image, foreground: Image, threshold: float, noise: float, sizes: Sizes) -> _Regions:
         """Regions of clear foreground, with what belongs to them of the faint foreground."""

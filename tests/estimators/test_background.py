@@ -284,3 +284,13 @@ def test_the_second_threshold_neither_finds_shadows_nor_joins_people_by_them():
     assert len(found.boxes) == 0
     _, found = detector.step(state, frame(1, [(40, 42), (110, 42)], shade))
     assert len(found.boxes) == 2
+
+
+@pytest.mark.parametrize(("level", "dark"), [(18, True), (90, False)])
+def test_a_picture_too_dark_for_people_is_said(level, dark):
+    rng, detector = np.random.default_rng(0), MaskedBackground()
+    frames = [np.clip(rng.normal(level, 3.0, (60, 80, 3)), 0, 255).astype(np.uint8) for _ in range(3)]
+    state = detector.initial(frames[0])
+    for frame in frames:
+        state, _ = detector.step(state, frame)
+    assert ("the picture is dark" in state.notice) == dark

@@ -217,3 +217,18 @@ def test_bad_parameters_are_named(arguments, match):
 def test_a_mask_of_another_size_is_named():
     with pytest.raises(ValueError, match=r"mask must have the shape \(288, 384\)"):
         bands().step(bands().initial(), np.zeros((10, 10), np.uint8), IMAGE)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_camera_on_its_side_is_said(turned):
+    finder, rng = BlobFinder(), np.random.default_rng(0)
+    state, said = finder.initial(), ""
+    for _ in range(110):
+        mask = blank()
+        for x in (60, 180, 300):
+            draw(mask, x, 200 + rng.uniform(-30, 30), 70)
+        mask = np.ascontiguousarray(mask.T) if turned else mask
+        image = np.full((*mask.shape, 3), 128, np.uint8)
+        state, _ = finder.step(state, mask, image)
+        said = finder.notice(state)
+    assert ("turn the picture" in said) == turned

@@ -24,8 +24,8 @@ class Levels:
 
     The scale is that of the smallest range in `WHITES` that holds the values of sampled images: 12 bits in a 16-bit
     file, or floats of 0 to 1, fill the range of 0 to 255. Images of 8 bits stay as they are unless all samples consist
-    of 0 and 1. Gray images of more bits whose values lie far from 0 and close together, as the temperatures of a thermal
-    camera do, are spread from their own lowest to their highest value, with a margin.
+    of 0 and 1. Gray images of more bits whose values lie far from 0 and close together, as the temperatures of a
+    thermal camera do, are spread from their own lowest to their highest value, with a margin.
 
     Args:
         sample: Function that returns images from the whole sequence.
