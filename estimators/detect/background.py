@@ -299,7 +299,7 @@ class MaskedBackground:
                 "background; nothing is reported until it stands still; use a detector that needs no background, such "
                 "as --detector model.onnx"
             )
-        if flooded > 0.5 * (self.flood_time - dt):
+        if flooded > max(0.5 * (self.flood_time - dt), 0.0):
             return (
                 f"the foreground covers {100.0 * share:.0f} % of the image, more than people can; nothing is reported "
                 "until the background is learned anew; if this comes again and again, use a detector that needs no "

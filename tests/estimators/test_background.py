@@ -294,3 +294,12 @@ def test_a_picture_too_dark_for_people_is_said(level, dark):
     for frame in frames:
         state, _ = detector.step(state, frame)
     assert ("the picture is dark" in state.notice) == dark
+
+
+def test_one_frame_a_second_is_no_flood():
+    rng, detector = np.random.default_rng(0), MaskedBackground(frame_rate=1.0)
+    frames = [np.clip(rng.normal(90, 3.0, (60, 80, 3)), 0, 255).astype(np.uint8) for _ in range(3)]
+    state = detector.initial(frames[0])
+    for frame in frames:
+        state, _ = detector.step(state, frame)
+        assert not state.notice
