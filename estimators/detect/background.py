@@ -14,6 +14,7 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.blobs import REFERENCE_HEIGHT, BlobFinder, Sizes
 from servotrack.estimators.detect.camera_motion import CameraMotion, MotionRules, check_motion, in_doubt, small_copy
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.detect.exposure import ExposureRules, exposure_line
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
@@ -117,6 +118,8 @@ class MaskedBackground:
         still: Conditions under which a region that does not move becomes background; None for never.
         motion: Conditions under which the camera moves. Then no detections are reported, and `BackgroundState.notice`
             says so; None for never.
+        exposure: Conditions under which the background gets the exposure of a frame, a gain and an offset for the whole
+            picture; None for never.
         same_light: True to compute the first background only from frames before the first change of light.
         frame_rate: Frames per second, where `step` is not given the time between frames.
 
@@ -143,6 +146,7 @@ class MaskedBackground:
     soft_light: SoftLightRules = field(default_factory=SoftLightRules)
     still: StillRules | None = field(default_factory=StillRules)
     motion: MotionRules | None = field(default_factory=MotionRules)
+    exposure: ExposureRules | None = field(default_factory=ExposureRules)
     same_light: bool = True
     frame_rate: float = 25.0
 
@@ -189,6 +193,7 @@ class MaskedBackground:
             edges=0.0,
             still=None,
             motion=None,
+            exposure=None,
             same_light=False,
             blobs=BlobFinder(opening=3, closing=(1, 1), smallest=40, split=False),
         )
@@ -242,6 +247,9 @@ class MaskedBackground:
         dt = checked_period(dt, self.frame_rate)
         image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
+        exposed = self._exposed(state, image, difference)
+        if exposed is not state:
+            state, difference = exposed, self._difference(image, exposed.rounded)
         foreground, threshold = self._foreground(difference, image, state.rounded)
         noise, brightness = self._noise_level(state, difference)
         found = self._regions(difference, foreground, threshold, noise, state.sizes)
@@ -280,6 +288,20 @@ class MaskedBackground:
             motion,
             notice,
         ), detections
+
+    def _exposed(self, state: BackgroundState, image: Image, difference: Image) -> BackgroundState:
+        """State whose background has the exposure of a frame; the same state if it has not changed."""
+        if self.exposure is None:
+            return state
+        threshold = self.least_threshold if isinstance(self.threshold, str) else float(self.threshold)
+        sample = difference[:: self.exposure.stride, :: self.exposure.stride]
+        if np.count_nonzero(sample > 0.5 * threshold) <= self.exposure.changed * sample.size * self.exposure.usable:
+            return state
+        gain, offset = exposure_line(image, state.rounded, threshold, self.exposure)
+        if gain == 1.0 and offset == 0.0:
+            return state
+        background = state.background * np.float32(gain) + np.float32(offset)
+        return state._replace(background=background, rounded=_rounded(background))
 
     def _motion(self, state: BackgroundState, dt: float, image: Image, share: float, regions: int) -> CameraMotion:
         """Memory of the checks for a moving camera; the first frame is checked, then one in each period."""
