@@ -177,5 +177,5 @@ class KalmanHungarian:
         """Overlap that the similarity of each pair is worth, 0 where either appearance is unknown. Shape (T, Z)."""
         if not (self.appearance and appearance.shape[1]):
             return np.zeros((len(appearance), len(features)))
-        known = appearance.any(axis=1)[:, None] & features.any(axis=1)
+        known = np.asarray(appearance.any(axis=1))[:, None] & features.any(axis=1)
         return np.where(known, self.appearance * (appearance @ features.T - self.typical_similarity), 0.0)

@@ -365,7 +365,7 @@ class MaskedBackground:
         # The mask may be the foreground itself, which `hold` needs unchanged.
         mask = mask.copy() if mask is foreground else mask
         if not 0.0 < faint < threshold:
-            return self._joined(mask, *label_runs(mask), None, None)
+            return self._joined(mask, label_runs(mask), None, None)
         faint_runs, count = label_runs(self.blobs.clean(_above(difference, faint), typical))
         faint_boxes = measure_runs(faint_runs, count)[0]
         rules = self.faint_rules
@@ -373,17 +373,17 @@ class MaskedBackground:
             seeds = min(rules.seeds, max(round(rules.seeds * (typical / REFERENCE_HEIGHT) ** 2), rules.fewest))
             rules = rules._replace(seeds=seeds)
         add_faint_regions(mask, faint_runs, faint_boxes, rules)
-        return self._joined(mask, *label_runs(mask), faint_runs, faint_boxes)
+        return self._joined(mask, label_runs(mask), faint_runs, faint_boxes)
 
     def _joined(
         self,
         mask: Image,
-        runs: NDArray[np.int32],
-        count: int,
+        labeled: tuple[NDArray[np.int32], int],
         faint_runs: NDArray[np.int32] | None,
         faint_boxes: Array | None,
     ) -> _Regions:
-        """Regions of a mask; parts within one slender faint region get the same index, in place."""
+        """Regions from labeled runs; parts within one slender faint region get the same index, in place."""
+        runs, count = labeled
         if faint_runs is not None:
             join_by_faint_regions(runs, count, faint_runs, faint_boxes, self.faint_rules)
         return _Regions(mask, runs, count, faint_runs, faint_boxes)
@@ -434,7 +434,7 @@ class MaskedBackground:
         if not removed:
             return found
         clear_removed(mask, found.runs)
-        return self._joined(mask, *label_again(found.runs), found.faint_runs, found.faint_boxes)
+        return self._joined(mask, label_again(found.runs), found.faint_runs, found.faint_boxes)
 
     def _difference(self, image: Image, background: Image) -> Image:
         """Difference of each pixel to the background, gray levels."""

@@ -95,8 +95,7 @@ class Levels:
     def _scaled(self, image: NDArray[Any], black: float, white: float) -> NDArray[Any]:
         if black:
             # Dead pixels are outside in every image; that is said only where there are more of them.
-            outside = np.count_nonzero((image < black) | (image > white)) > 2.0 * _OUTSIDE * image.size
-            self.clipped += bool(outside)
+            self.clipped += int(np.count_nonzero((image < black) | (image > white)) > 2.0 * _OUTSIDE * image.size)
             spread = (np.clip(image, black, white) - black) * (255.0 / (white - black))
             return np.asarray(np.rint(spread), dtype=np.uint8)
         outside = (image > white).any() or (image.dtype.kind == "f" and bool((image < 0).any()))
