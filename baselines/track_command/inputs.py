@@ -20,6 +20,8 @@ from servotrack.estimators.types import Array, Image
 
 _BACKGROUND_SPACING = 25
 """Largest spacing of the frames of the first pass. Wider sampling would mix different light into one background."""
+_SHORT = 5.0
+"""Length of a source below which people who stand or walk slowly fill the background of a first pass, s."""
 _MAX_BACKGROUND = 1 << 32
 """Largest memory for the frames of the first pass, bytes."""
 _NOTHING = detections_from_boxes(np.zeros((0, 4)))
@@ -116,6 +118,7 @@ class PixelInput:
     ) -> None:
         self._motion = PictureMotion() if moving else None
         self._moves = CameraReport()
+        self._facts: list[str] = []
         self._frames = open_frames(source, start=start, count=count, stride=stride, white=white)
         self._white = white
         self._notices = Notices()
@@ -134,7 +137,7 @@ class PixelInput:
     @property
     def notes(self) -> Sequence[str]:
         """Facts about the source, and sentences of the detector on what does not work."""
-        return [*self._frames.notes, *self._notices.lines(), *self._moves.lines()]
+        return [*self._frames.notes, *self._facts, *self._notices.lines(), *self._moves.lines()]
 
     @property
     def warning(self) -> str:
@@ -180,6 +183,12 @@ class PixelInput:
             # Tracking stops at the same frame, and keeps the frames before it.
             if not found:
                 raise
+        seconds = ((len(found) - 1) * spacing + 1) / (self.frame_rate * self._stride)
+        if seconds < _SHORT:
+            self._facts.append(
+                f"the frames for the background span {seconds:.1f} s: people who stand or walk slowly in them count as "
+                "background; a longer source, or --background 0 where the first frame is empty, finds them"
+            )
         return found
 
 

@@ -14,10 +14,11 @@ from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.blobs import REFERENCE_HEIGHT, BlobFinder, Sizes
 from servotrack.estimators.detect.camera_motion import CameraMotion, MotionRules, check_motion, in_doubt, small_copy
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.detect.exposure import ExposureRules, exposure_line
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
-from servotrack.estimators.detect.runs import clear_removed, label_runs, measure_runs
+from servotrack.estimators.detect.runs import clear_removed, label_again, label_runs, measure_runs
 from servotrack.estimators.detect.soft_light import SoftLightRules, is_shadow, trim_soft_light
 from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
 from servotrack.estimators.types import Array, FloatArray, Image
@@ -52,6 +53,7 @@ class BackgroundState(NamedTuple):
         flooded: Time for which the foreground has covered more than `flood` of the image, s.
         still: Content of the foreground and for how long it has not changed; None without `MaskedBackground.still`.
         noise: Gray levels that most background pixels do not exceed; 0 before they are measured.
+        brightness: Median gray level of the background, measured together with the noise.
         motion: Memory of the checks for a moving camera.
         notice: Sentence on what does not work at the moment, with the remedy; empty if all is well.
     """
@@ -64,6 +66,7 @@ class BackgroundState(NamedTuple):
     flooded: float
     still: Stillness | None
     noise: float
+    brightness: float
     motion: CameraMotion
     notice: str
 
@@ -115,6 +118,8 @@ class MaskedBackground:
         still: Conditions under which a region that does not move becomes background; None for never.
         motion: Conditions under which the camera moves. Then no detections are reported, and `BackgroundState.notice`
             says so; None for never.
+        exposure: Conditions under which the background gets the exposure of a frame, a gain and an offset for the whole
+            picture; None for never.
         same_light: True to compute the first background only from frames before the first change of light.
         frame_rate: Frames per second, where `step` is not given the time between frames.
 
@@ -141,6 +146,7 @@ class MaskedBackground:
     soft_light: SoftLightRules = field(default_factory=SoftLightRules)
     still: StillRules | None = field(default_factory=StillRules)
     motion: MotionRules | None = field(default_factory=MotionRules)
+    exposure: ExposureRules | None = field(default_factory=ExposureRules)
     same_light: bool = True
     frame_rate: float = 25.0
 
@@ -187,6 +193,7 @@ class MaskedBackground:
             edges=0.0,
             still=None,
             motion=None,
+            exposure=None,
             same_light=False,
             blobs=BlobFinder(opening=3, closing=(1, 1), smallest=40, split=False),
         )
@@ -218,7 +225,7 @@ class MaskedBackground:
         mask = np.zeros((height, width), np.uint8)
         still = no_stillness(height, width) if self.still is not None and self.heal_every else None
         return BackgroundState(
-            first, _rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, CameraMotion(), notice
+            first, _rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, 255.0, CameraMotion(), notice
         )
 
     def step(
@@ -240,12 +247,14 @@ class MaskedBackground:
         dt = checked_period(dt, self.frame_rate)
         image = checked_image(frame, shape=state.rounded.shape)
         difference = self._difference(image, state.rounded)
+        exposed = self._exposed(state, image, difference)
+        if exposed is not state:
+            state, difference = exposed, self._difference(image, exposed.rounded)
         foreground, threshold = self._foreground(difference, image, state.rounded)
-        noise = self._noise_level(state, difference)
+        noise, brightness = self._noise_level(state, difference)
         found = self._regions(difference, foreground, threshold, noise, state.sizes)
-        background = state.background.copy()
-        held = foreground if self.hold == "pixels" else found.mask
-        cv2.accumulateWeighted(image, background, self.learning_rate, mask=cv2.bitwise_not(held))
+        held = found.runs if self.hold == "blobs" else label_runs(foreground)[0]
+        background = _learned(image, state.background, held, np.float32(self.learning_rate))
         frames, still = state.frames + 1, state.still
         if still is not None:
             still = Stillness(still.level, still.age, still.passed + dt)
@@ -265,10 +274,34 @@ class MaskedBackground:
         elif self.edges and found.number:
             found = self._without_soft_light(found, image, state.rounded, background, threshold)
         sizes, detections = self.blobs.find(state.sizes, found.runs, found.number, image)
-        notice = self._notice(motion, flooded, share, dt) or self.blobs.notice(sizes)
+        notice = self._notice(motion, flooded, share, dt) or self.blobs.notice(sizes) or self._darkness(brightness)
         return BackgroundState(
-            background, _rounded(background), found.mask, sizes, frames, flooded, still, noise, motion, notice
+            background,
+            _rounded(background),
+            found.mask,
+            sizes,
+            frames,
+            flooded,
+            still,
+            noise,
+            brightness,
+            motion,
+            notice,
         ), detections
+
+    def _exposed(self, state: BackgroundState, image: Image, difference: Image) -> BackgroundState:
+        """State whose background has the exposure of a frame; the same state if it has not changed."""
+        if self.exposure is None:
+            return state
+        threshold = self.least_threshold if isinstance(self.threshold, str) else float(self.threshold)
+        sample = difference[:: self.exposure.stride, :: self.exposure.stride]
+        if np.count_nonzero(sample > 0.5 * threshold) <= self.exposure.changed * sample.size * self.exposure.usable:
+            return state
+        gain, offset = exposure_line(image, state.rounded, threshold, self.exposure)
+        if gain == 1.0 and offset == 0.0:
+            return state
+        background = state.background * np.float32(gain) + np.float32(offset)
+        return state._replace(background=background, rounded=_rounded(background))
 
     def _motion(self, state: BackgroundState, dt: float, image: Image, share: float, regions: int) -> CameraMotion:
         """Memory of the checks for a moving camera; the first frame is checked, then one in each period."""
@@ -288,7 +321,7 @@ class MaskedBackground:
                 "background; nothing is reported until it stands still; use a detector that needs no background, such "
                 "as --detector model.onnx"
             )
-        if flooded > 0.5 * (self.flood_time - dt):
+        if flooded > max(0.5 * (self.flood_time - dt), 0.0):
             return (
                 f"the foreground covers {100.0 * share:.0f} % of the image, more than people can; nothing is reported "
                 "until the background is learned anew; if this comes again and again, use a detector that needs no "
@@ -296,18 +329,33 @@ class MaskedBackground:
             )
         return ""
 
-    def _noise_level(self, state: BackgroundState, difference: Image) -> float:
-        """Gray levels that most of the background does not exceed, smoothed; from a sample of pixels."""
+    def _darkness(self, brightness: float) -> str:
+        """Sentence on a picture in which people darker than the background cannot be seen; empty for others."""
+        if isinstance(self.threshold, str) or brightness >= self.threshold:
+            return ""
+        return (
+            f"the picture is dark: half of it is below {self.threshold:.0f} gray levels, where nothing that is darker "
+            "can be found; use more light, a longer exposure, or a detector for dark pictures, such as --detector "
+            "model.onnx"
+        )
+
+    def _noise_level(self, state: BackgroundState, difference: Image) -> tuple[float, float]:
+        """Gray levels that most of the background does not exceed, smoothed, and the median of its brightest channel.
+
+        Both are taken from a sample of pixels.
+        """
         rules = self.noise
         if rules is None or state.frames % rules.every:
-            return state.noise
+            return state.noise, state.brightness
         sampled = (slice(None, None, rules.stride),) * 2
+        known = state.rounded[sampled]
+        brightness = float(np.median(known.max(axis=2) if known.ndim == 3 else known))
         sample = difference[sampled][state.mask[sampled] == 0]
         if len(sample) < rules.stride:
-            return state.noise
+            return state.noise, brightness
         rank = int(rules.quiet * (len(sample) - 1))
         level = float(np.partition(sample, rank)[rank])
-        return level if state.noise == 0.0 else state.noise + rules.rate * (level - state.noise)
+        return level if state.noise == 0.0 else state.noise + rules.rate * (level - state.noise), brightness
 
     def _regions(self, difference: Image, foreground: Image, threshold: float, noise: float, sizes: Sizes) -> _Regions:
         """Regions of clear foreground, with what belongs to them of the faint foreground."""
@@ -317,7 +365,7 @@ class MaskedBackground:
         # The mask may be the foreground itself, which `hold` needs unchanged.
         mask = mask.copy() if mask is foreground else mask
         if not 0.0 < faint < threshold:
-            return self._labeled(mask, None, None)
+            return self._joined(mask, label_runs(mask), None, None)
         faint_runs, count = label_runs(self.blobs.clean(_above(difference, faint), typical))
         faint_boxes = measure_runs(faint_runs, count)[0]
         rules = self.faint_rules
@@ -325,11 +373,17 @@ class MaskedBackground:
             seeds = min(rules.seeds, max(round(rules.seeds * (typical / REFERENCE_HEIGHT) ** 2), rules.fewest))
             rules = rules._replace(seeds=seeds)
         add_faint_regions(mask, faint_runs, faint_boxes, rules)
-        return self._labeled(mask, faint_runs, faint_boxes)
+        return self._joined(mask, label_runs(mask), faint_runs, faint_boxes)
 
-    def _labeled(self, mask: Image, faint_runs: NDArray[np.int32] | None, faint_boxes: Array | None) -> _Regions:
-        """Regions of a mask; parts within one slender faint region have the same index."""
-        runs, count = label_runs(mask)
+    def _joined(
+        self,
+        mask: Image,
+        labeled: tuple[NDArray[np.int32], int],
+        faint_runs: NDArray[np.int32] | None,
+        faint_boxes: Array | None,
+    ) -> _Regions:
+        """Regions from labeled runs; parts within one slender faint region get the same index, in place."""
+        runs, count = labeled
         if faint_runs is not None:
             join_by_faint_regions(runs, count, faint_runs, faint_boxes, self.faint_rules)
         return _Regions(mask, runs, count, faint_runs, faint_boxes)
@@ -380,18 +434,18 @@ class MaskedBackground:
         if not removed:
             return found
         clear_removed(mask, found.runs)
-        return self._labeled(mask, found.faint_runs, found.faint_boxes)
+        return self._joined(mask, label_again(found.runs), found.faint_runs, found.faint_boxes)
 
     def _difference(self, image: Image, background: Image) -> Image:
         """Difference of each pixel to the background, gray levels."""
         if self.color == "gray" and image.ndim == 3:
             gray, gray_background = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (image, background))
             return np.asarray(cv2.absdiff(gray, gray_background), dtype=np.uint8)
-        difference = cv2.absdiff(image, background)
-        if image.ndim == 3:
-            red, green, blue = cv2.split(difference)
-            difference = cv2.max(cv2.max(red, green), blue)
-        return np.asarray(difference, dtype=np.uint8)
+        if image.ndim == 2:
+            return np.asarray(cv2.absdiff(image, background), dtype=np.uint8)
+        difference = np.empty(image.shape[:2], np.uint8)
+        _largest_difference(image.reshape(-1), background.reshape(-1), difference.reshape(-1))
+        return difference
 
     def _foreground(self, difference: Image, image: Image, background: Image) -> tuple[Image, float]:
         """Mask of the pixels that differ (equation 5), and the threshold."""
@@ -425,6 +479,19 @@ def frames_of_same_light(frames: list[Image], change: float, share: float, width
     return len(frames)
 
 
+@njit(cache=True, nogil=True)
+def _largest_difference(image, background, difference):  # type: ignore[no-untyped-def]
+    for n in range(difference.size):
+        red, other_red = image[3 * n], background[3 * n]
+        green, other_green = image[3 * n + 1], background[3 * n + 1]
+        blue, other_blue = image[3 * n + 2], background[3 * n + 2]
+        # In uint8 all along, so that the compiler vectorizes this loop.
+        red = np.uint8(max(red, other_red) - min(red, other_red))
+        green = np.uint8(max(green, other_green) - min(green, other_green))
+        blue = np.uint8(max(blue, other_blue) - min(blue, other_blue))
+        difference[n] = max(red, max(green, blue))
+
+
 def _rounded(background: FloatArray) -> Image:
     return np.asarray(cv2.convertScaleAbs(background), dtype=np.uint8)
 
@@ -434,10 +501,30 @@ def _above(difference: Image, threshold: float) -> Image:
     return np.asarray(cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
+def _learned(image: Image, background: FloatArray, held: NDArray[np.int32], rate: np.float32) -> FloatArray:
+    """Return the background after a frame (equation 6); it stays as it was under the runs `held`."""
+    learned, channels = np.empty_like(background), image.shape[2] if image.ndim == 3 else 1
+    _learn(image.reshape(-1), background.reshape(-1), held, image.shape[1], channels, rate, learned.reshape(-1))
+    return learned
+
+
+@njit(cache=True, nogil=True)
+def _learn(image, background, held, width, channels, rate, learned):  # type: ignore[no-untyped-def]
+    # One pass over memory instead of a copy and a masked update. Products of two float32 numbers are exact in double
+    # precision, so that the sum is rounded once, as by a fused multiplication and addition.
+    kept = np.float64(np.float32(1.0) - rate)
+    for n in range(image.size):
+        learned[n] = kept * np.float64(background[n]) + np.float64(rate * np.float32(image[n]))
+    for run in range(len(held)):
+        start = held[run, 0] * width
+        for n in range((start + held[run, 1]) * channels, (start + held[run, 2]) * channels):
+            learned[n] = background[n]
+
+
 @njit(cache=True, nogil=True)
 def _drop_shadows(mask, image, background, rules):  # type: ignore[no-untyped-def]
     """Remove pixels whose channels are all darker by about the same factor, in place."""
     for row in range(mask.shape[0]):
         for column in range(mask.shape[1]):
-            if mask[row, column] and is_shadow(image[row], background[row], column, column + 1, rules):
+            if mask[row, column] and is_shadow(image, background, row, column, column + 1, rules):
                 mask[row, column] = 0

@@ -30,6 +30,7 @@ from servotrack.estimators.detect.scene_sizes import (
     contradicted,
     judge_line,
     learn_scene,
+    lies,
     no_scene_sizes,
     supported,
 )
@@ -109,8 +110,15 @@ class BlobFinder:
         return state.line.typical
 
     def notice(self, state: Sizes) -> str:
-        """Sentence on why regions are not divided, empty if they are or if too few people were seen."""
-        if not isinstance(state, SceneSizes) or self.scene is None or state.seen < self.scene.sure:
+        """Sentence on why regions are no people or not divided, empty if they are or if too few were seen."""
+        if not isinstance(state, SceneSizes) or self.scene is None:
+            return ""
+        if lies(state, self.scene):
+            return (
+                "most things are wider than they are tall, where upright people are expected; turn the picture if the "
+                "camera lies on its side; for vehicles use a detector of theirs, such as --detector model.onnx"
+            )
+        if state.seen < self.scene.sure:
             return ""
         if not supported(state, self.scene):
             reason = "the heights of people do not follow from their place in the image"

@@ -90,8 +90,9 @@ def small_copy(image: Image, largest: int) -> Image:
     """Return a gray copy of an image, at most `largest` px wide."""
     height, width = image.shape[:2]
     columns = min(largest, width)
-    reduced = cv2.resize(image, (columns, max(round(height * columns / width), 1)), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.cvtColor(reduced, cv2.COLOR_RGB2GRAY) if reduced.ndim == 3 else reduced, dtype=np.uint8)
+    gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    rows = max(round(height * columns / width), 1)
+    return np.asarray(cv2.resize(gray, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 @njit(cache=True, nogil=True)

@@ -48,7 +48,11 @@ class SceneRules(NamedTuple):
         contradiction: Share of upright regions from which dividing them shows that the line is wrong: a region with the
             shape of one person is rarely several. Raising it tolerates more divisions.
         refit: Growth of the number of regions after which the line is fitted again.
-        sure: Number of upright regions from which it is said that regions are not divided.
+        sure: Number of upright regions from which it is said that regions are not divided, and of lying ones from which
+            it is said that things do not stand upright.
+        lying: Ratio of width to height from which a region lies.
+        mostly: Number of lying regions per upright one from which things do not stand upright. Raising it tolerates
+            more wide things.
         part: Smallest number of pixels of a person, as a share of those of a person who is entirely visible. Raising it
             removes more fragments.
         speck: The same before heights are known, relative to the typical region.
@@ -63,6 +67,8 @@ class SceneRules(NamedTuple):
     contradiction: float = 0.5
     refit: float = 1.02
     sure: float = 300.0
+    lying: float = 1.3
+    mostly: float = 2.0
     part: float = 0.25
     speck: float = 0.03
     far: float = 0.5
@@ -99,6 +105,7 @@ class SceneSizes(NamedTuple):
         divided: Decaying number of those that are taller than one person may be.
         line: Heights by row that follow from `pixels`; None before the first region.
         fitted: Number of upright regions at the last fit of the line.
+        lying: Number of regions so far that are wider than they are tall.
     """
 
     pixels: Array
@@ -107,11 +114,12 @@ class SceneSizes(NamedTuple):
     divided: float
     line: SceneLine | None
     fitted: float
+    lying: float
 
 
 def no_scene_sizes() -> SceneSizes:
     """Return the state before the first region."""
-    return SceneSizes(np.zeros((TABLE.bands, TABLE.levels)), 0.0, 0.0, 0.0, None, 0.0)
+    return SceneSizes(np.zeros((TABLE.bands, TABLE.levels)), 0.0, 0.0, 0.0, None, 0.0, 0.0)
 
 
 def learn_scene(sizes: SceneSizes, boxes: Array, areas: Array, shape: tuple[int, ...], rules: SceneRules) -> SceneSizes:
@@ -122,8 +130,11 @@ def learn_scene(sizes: SceneSizes, boxes: Array, areas: Array, shape: tuple[int,
         boxes: Left, top, width and height of regions before any division. Shape (k, 4), px.
         areas: Number of pixels of each region. Shape (k,).
         shape: Height and width of the image, px.
-        rules: Parameters, of which `memory` and `agree` are used.
+        rules: Parameters, of which `memory`, `agree`, `refit` and `lying` are used.
     """
+    lying = _count_lying(boxes, areas, shape[0], shape[1], rules.lying)
+    if lying:
+        sizes = sizes._replace(lying=sizes.lying + lying)
     pixels = sizes.pixels.copy()
     count = _learn(pixels, boxes, areas, shape[0], shape[1], rules.memory)
     if not count:
@@ -140,6 +151,11 @@ def supported(sizes: SceneSizes, rules: SceneRules | None) -> bool:
     return (
         rules is not None and line is not None and line.agreement >= rules.support and line.presence >= rules.presence
     )
+
+
+def lies(sizes: SceneSizes, rules: SceneRules) -> bool:
+    """Return True if most things in the scene are wider than they are tall, as people are in a turned picture."""
+    return sizes.lying >= max(rules.sure, rules.mostly * sizes.seen)
 
 
 def contradicted(sizes: SceneSizes, rules: SceneRules) -> float:
@@ -175,6 +191,18 @@ def _is_upright(box, area, rows, columns):  # type: ignore[no-untyped-def]
     left, top, width, height = box
     inside = left > 1 and top > 1 and left + width < columns - 1 and top + height < rows - 1
     return inside and 0.2 * height <= width <= 0.55 * height and height >= TABLE.lowest and area >= 0.4 * width * height
+
+
+@njit(cache=True, nogil=True)
+def _count_lying(boxes, areas, rows, columns, ratio):  # type: ignore[no-untyped-def]
+    """Number of solid regions inside the image that are wider than they are tall by a ratio."""
+    count = 0
+    for k in range(boxes.shape[0]):
+        left, top, width, height = boxes[k]
+        inside = left > 1 and top > 1 and left + width < columns - 1 and top + height < rows - 1
+        solid = height >= TABLE.lowest and areas[k] >= 0.4 * width * height
+        count += inside and solid and width >= ratio * height
+    return count
 
 
 @njit(cache=True, nogil=True)

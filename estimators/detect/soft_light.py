@@ -46,7 +46,7 @@ def trim_soft_light(image, known, background, runs, regions, mask, threshold, sh
         image: The frame. Shape (H, W, C), uint8.
         known: The background, rounded. Shape (H, W, C), uint8.
         background: The background, which learns the removed pixels. Shape (H, W, C), float32; changed.
-        runs: Runs of the regions from `label_runs`.
+        runs: Runs of the regions from `label_runs`; shortened, and the index of runs without a pixel becomes -1.
         regions: Number of regions.
         mask: Foreground, shape (H, W), uint8; changed.
         threshold: Difference from which a pixel is foreground, gray levels. An edge is a jump of the gain by what is
@@ -73,7 +73,7 @@ def trim_soft_light(image, known, background, runs, regions, mask, threshold, sh
             column = first if end == 0 else stop
             if reach <= column <= width - reach:
                 points[k] += 1.0
-                edges[k] += _is_edge(image[row], known[row], column, end == 0, least, rules)
+                edges[k] += _is_edge(image, known, row, column, end == 0, least, rules)
     removed = 0
     for n in range(runs.shape[0]):
         row, first, stop, k = runs[n]
@@ -85,13 +85,13 @@ def trim_soft_light(image, known, background, runs, regions, mask, threshold, sh
             continue
         left, right = first, stop
         while left < stop and (
-            (wide and is_shadow(image[row], known[row], left, min(left + reach, stop), rules))
-            or (soft and (left < reach or not _is_edge(image[row], known[row], left, True, least, rules)))
+            (wide and is_shadow(image, known, row, left, min(left + reach, stop), rules))
+            or (soft and (left < reach or not _is_edge(image, known, row, left, True, least, rules)))
         ):
             left += 1
         while right > left and (
-            (wide and is_shadow(image[row], known[row], max(right - reach, first), right, rules))
-            or (soft and (right > width - reach or not _is_edge(image[row], known[row], right, False, least, rules)))
+            (wide and is_shadow(image, known, row, max(right - reach, first), right, rules))
+            or (soft and (right > width - reach or not _is_edge(image, known, row, right, False, least, rules)))
         ):
             right -= 1
         for column in range(first, stop):
@@ -102,22 +102,25 @@ def trim_soft_light(image, known, background, runs, regions, mask, threshold, sh
             for channel in range(image.shape[2]):
                 before = background[row, column, channel]
                 background[row, column, channel] = before + rate * (image[row, column, channel] - before)
+        runs[n, 1], runs[n, 2] = left, right
+        if left == right:
+            runs[n, 3] = -1
     return removed
 
 
 @njit(cache=True, nogil=True)
-def _is_edge(image, background, column, inward, least, rules):  # type: ignore[no-untyped-def]
+def _is_edge(image, background, row, column, inward, least, rules):  # type: ignore[no-untyped-def]
     """Return True if the gain jumps at the left border of a column; `inward` if the foreground is right of it."""
     reach, floor = rules.reach, rules.floor * rules.reach
-    if column > image.shape[0] - reach:
+    if column > image.shape[1] - reach:
         return False
-    for channel in range(image.shape[1]):
+    for channel in range(image.shape[2]):
         before = after = known_before = known_after = 0.0
         for offset in range(reach):
-            before += image[column - 1 - offset, channel]
-            after += image[column + offset, channel]
-            known_before += background[column - 1 - offset, channel]
-            known_after += background[column + offset, channel]
+            before += image[row, column - 1 - offset, channel]
+            after += image[row, column + offset, channel]
+            known_before += background[row, column - 1 - offset, channel]
+            known_after += background[row, column + offset, channel]
         left, right = (before + floor) / (known_before + floor), (after + floor) / (known_after + floor)
         inside = right if inward else left
         # The jump in gray levels of the mean background.
@@ -129,21 +132,22 @@ def _is_edge(image, background, column, inward, least, rules):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def is_shadow(image, known, start, stop, rules):  # type: ignore[no-untyped-def]
+def is_shadow(image, known, row, start, stop, rules):  # type: ignore[no-untyped-def]
     """Return True if all channels of some neighbors in a row are darker by about the same factor.
 
     Args:
-        image: A row of the frame. Shape (W, C), uint8.
-        known: The same row of the background. Shape (W, C), uint8.
+        image: The frame. Shape (H, W, C), uint8.
+        known: The background. Shape (H, W, C), uint8.
+        row: Row of the pixels.
         start: First column.
         stop: Column after the last.
         rules: A `SoftLightRules`.
     """
     low, high = np.inf, 0.0
-    for channel in range(image.shape[1]):
+    for channel in range(image.shape[2]):
         one, two = rules.floor, rules.floor
         for column in range(start, stop):
-            one += image[column, channel]
-            two += known[column, channel]
+            one += image[row, column, channel]
+            two += known[row, column, channel]
         low, high = min(low, one / two), max(high, one / two)
     return low > rules.darkest and high < rules.lightest and high - low < rules.uneven

@@ -8,6 +8,7 @@ import http.server
 import json
 import sys
 import threading
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,6 +59,14 @@ def test_one_line_tracks_a_video(tmp_path):
     assert np.abs(last.boxes[0] - [8 + 3 * last.frame, 24, 16, 40]).max() < 8
     assert last.image.shape == (96, 128, 3) and last.to_numpy().shape == (1, 8)
     np.testing.assert_allclose(last.corners[:, 2:], last.boxes[:, :2] + last.boxes[:, 2:])
+
+
+def test_a_source_too_short_for_its_background_is_said(tmp_path):
+    with pytest.warns(UserWarning, match=r"for the background span 1\.7 s"):
+        list(servotrack.track(write_walk(tmp_path / "v.avi", 17)))
+    with warnings.catch_warnings(record=True) as said:
+        list(servotrack.track(tmp_path / "v.avi", background=0))
+    assert not any("for the background" in str(one.message) for one in said)
 
 
 def test_the_command_and_the_loop_agree(tmp_path):

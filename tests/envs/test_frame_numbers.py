@@ -212,6 +212,22 @@ def test_masks_of_zero_and_one_become_black_and_white(tmp_path):
     assert not dark.notes
 
 
+def test_temperatures_far_from_zero_are_spread(tmp_path):
+    folder, rng = tmp_path / "thermal", np.random.default_rng(0)
+    folder.mkdir()
+    for k in range(6):
+        image = rng.integers(7000, 7400, (40, 60)).astype(np.uint16)
+        image[10:30, 5 + 5 * k : 15 + 5 * k] = 8900
+        image[0, 0] = 0  # a dead pixel
+        cv2.imwrite(str(folder / f"{k:03d}.png"), image)
+    source = open_frames(folder)
+    first = next(iter(source))
+    assert first[20, 10, 0] - int(first[35, 50, 0]) > 120 and first[0, 0, 0] == 0
+    assert len(source.notes) == 1 and "as black and" in source.notes[0]
+    # Values given by the user are believed.
+    assert next(iter(open_frames(folder, white=16383)))[20, 10, 0] == 8900 >> 6
+
+
 def test_white_can_be_given_and_values_beyond_it_are_said(tmp_path):
     folder = image_folder(tmp_path / "s", [GRAY.astype(np.uint16), (GRAY * 2.0).astype(np.uint16)])
     source = open_frames(folder, white=255)

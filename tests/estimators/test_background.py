@@ -98,15 +98,17 @@ def test_a_walker_is_found_where_he_is():
 def test_after_a_step_of_light_the_printed_rule_is_stuck_and_ours_recovers(kind):
     person = [(90, 60)]
     frames = [frame(k, person, LIGHTS[kind] if k >= 20 else None) for k in range(140)]
-    printed = MaskedBackground(heal_every=0, flood=1.0, edges=0.0, blobs=PLAIN)
+    printed = MaskedBackground(heal_every=0, flood=1.0, edges=0.0, exposure=None, blobs=PLAIN)
     shares, _, _ = follow(printed, frames, start=frame(0))
     assert (shares[20:] - 900 / (H * W) > 0.05).all()
-    shares, found, _ = follow(MaskedBackground(blobs=PLAIN), frames, start=frame(0))
-    assert shares[20] > 0.3
-    assert (shares[60:] - 900 / (H * W) < 0.01).all()
-    # The person did not move all the while, and was not taken for light.
-    for detections in found[60:]:
-        np.testing.assert_allclose(detections.boxes, [(90, 60, 18, 50)], atol=4.0)
+    healed = MaskedBackground(exposure=None, blobs=PLAIN)
+    for ours in (healed, MaskedBackground(blobs=PLAIN)):
+        shares, found, _ = follow(ours, frames, start=frame(0))
+        assert shares[20] > 0.3 or ours is not healed
+        assert (shares[60:] - 900 / (H * W) < 0.01).all()
+        # The person did not move all the while, and was not taken for light.
+        for detections in found[60:]:
+            np.testing.assert_allclose(detections.boxes, [(90, 60, 18, 50)], atol=4.0)
 
 
 def test_a_picture_that_changes_altogether_becomes_the_background():
@@ -284,3 +286,22 @@ def test_the_second_threshold_neither_finds_shadows_nor_joins_people_by_them():
     assert len(found.boxes) == 0
     _, found = detector.step(state, frame(1, [(40, 42), (110, 42)], shade))
     assert len(found.boxes) == 2
+
+
+@pytest.mark.parametrize(("level", "dark"), [(18, True), (90, False)])
+def test_a_picture_too_dark_for_people_is_said(level, dark):
+    rng, detector = np.random.default_rng(0), MaskedBackground()
+    frames = [np.clip(rng.normal(level, 3.0, (60, 80, 3)), 0, 255).astype(np.uint8) for _ in range(3)]
+    state = detector.initial(frames[0])
+    for frame in frames:
+        state, _ = detector.step(state, frame)
+    assert ("the picture is dark" in state.notice) == dark
+
+
+def test_one_frame_a_second_is_no_flood():
+    rng, detector = np.random.default_rng(0), MaskedBackground(frame_rate=1.0)
+    frames = [np.clip(rng.normal(90, 3.0, (60, 80, 3)), 0, 255).astype(np.uint8) for _ in range(3)]
+    state = detector.initial(frames[0])
+    for frame in frames:
+        state, _ = detector.step(state, frame)
+        assert not state.notice

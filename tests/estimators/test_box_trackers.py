@@ -315,6 +315,21 @@ def test_hungarian_takes_the_assignment_that_is_best_in_sum() -> None:
     assert len(answers[4].keys() | answers[3].keys()) == 2
 
 
+def test_hungarian_tells_people_apart_by_appearance() -> None:
+    """Two people change places between two frames, which overlap alone cannot tell."""
+    looks = np.eye(2)
+    frames = [people([50.0, 62.0])._replace(features=looks)] * 6
+    frames += [people([50.0, 62.0])._replace(features=looks[::-1])] * 9
+    for appearance, changed in ((0.0, False), (2.0, True)):
+        answers = follow(KalmanHungarian(appearance=appearance, confirm=1), frames)
+        assert (identity_at(answers[-1], 62.0) == identity_at(answers[5], 50.0)) == changed
+    # Without an appearance the match is that of overlap.
+    unknown = [frame._replace(features=np.zeros((2, 2))) for frame in frames]
+    plain = [people([50.0, 62.0])] * len(frames)
+    blind, seen = follow(KalmanHungarian(appearance=2.0), unknown), follow(KalmanHungarian(), plain)
+    assert all(np.array_equal(a[label], b[label]) for a, b in zip(blind, seen, strict=True) for label in a)
+
+
 def test_a_split_is_found_by_spawning() -> None:
     spawn = Spawn(0.02, np.diag([WIDTH**2, 4.0, WIDTH**2, 4.0]))
     together = [people([100.0])] * 8

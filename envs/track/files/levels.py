@@ -13,7 +13,10 @@ from servotrack.envs.track.files.recorded import SequenceError
 WHITES = (1, 255, 1023, 4095, 16383, 65535)
 """Values that white can have: 1 bit or a fraction, and cameras of 8, 10, 12, 14 and 16 bits."""
 _OUTSIDE = 1e-3
-"""Largest share of the values of float images that may lie outside their range, as resampling leaves them."""
+"""Largest share of the values of float images that may lie outside their range, as resampling leaves them. Images far
+from black may have as many dead pixels on either side."""
+_FLAT = 0.25
+"""Share of the range below which the values of images far from black are spread, and the margin on either side."""
 
 
 class Levels:
@@ -21,7 +24,8 @@ class Levels:
 
     The scale is that of the smallest range in `WHITES` that holds the values of sampled images: 12 bits in a 16-bit
     file, or floats of 0 to 1, fill the range of 0 to 255. Images of 8 bits stay as they are unless all samples consist
-    of 0 and 1.
+    of 0 and 1. Gray images of more bits whose values lie far from 0 and close together, as the temperatures of a
+    thermal camera do, are spread from their own lowest to their highest value, with a margin.
 
     Args:
         sample: Function that returns images from the whole sequence.
@@ -34,7 +38,7 @@ class Levels:
 
     def __init__(self, sample: Callable[[], Iterable[NDArray[Any]]], white: float | None = None) -> None:
         self._sample, self._given = sample, white
-        self._whites: dict[np.dtype[Any], float] = {}
+        self._ranges: dict[np.dtype[Any], tuple[float, float]] = {}
         self.note, self.clipped = "", 0
 
     def to_bytes(self, image: NDArray[Any], where: str) -> NDArray[Any]:
@@ -52,16 +56,15 @@ class Levels:
             raise SequenceError(f"{where}: images must hold unsigned integers or floats, got {kind}; convert them")
         if kind.kind == "f" and not np.isfinite(image).all():
             raise SequenceError(f"{where}: images must be finite, got NaN or infinity; replace such pixels")
-        white = self._whites.get(kind)
-        if white is None:
-            white = self._find(image, where)
+        known = self._ranges.get(kind)
+        black, white = self._find(image, where) if known is None else known
         if kind == np.uint8 and white == 255:
             return image
-        return self._scaled(image, white)
+        return self._scaled(image, black, white)
 
-    def _find(self, image: NDArray[Any], where: str) -> float:
-        """Return the value of white for images of this type."""
-        kind = image.dtype
+    def _find(self, image: NDArray[Any], where: str) -> tuple[float, float]:
+        """Return the values of black and white for images of this type."""
+        kind, black = image.dtype, 0.0
         if self._given is not None:
             white = float(self._given)
         elif kind == np.uint8 and image.max() > 1:
@@ -77,14 +80,24 @@ class Levels:
                 )
             if not max(one.max() for one in samples):
                 # Black so far: the next image decides.
-                return 255.0
-            white = found
-        self._whites[kind] = white
-        if white != 255 or kind != np.uint8:
+                return 0.0, 255.0
+            black, white = _own_range(samples, found) if kind.kind == "u" else (0.0, found)
+        self._ranges[kind] = black, white
+        if black:
+            self.note = (
+                f"images of {kind} are read with {black:g} as black and {white:g} as white, for their values lie far "
+                "from 0 and close together; choose another value with white (--white), then 0 is black"
+            )
+        elif white != 255 or kind != np.uint8:
             self.note = f"images of {kind} are read with {white:g} as white; choose another value with white (--white)"
-        return white
+        return black, white
 
-    def _scaled(self, image: NDArray[Any], white: float) -> NDArray[Any]:
+    def _scaled(self, image: NDArray[Any], black: float, white: float) -> NDArray[Any]:
+        if black:
+            # Dead pixels are outside in every image; that is said only where there are more of them.
+            self.clipped += int(np.count_nonzero((image < black) | (image > white)) > 2.0 * _OUTSIDE * image.size)
+            spread = (np.clip(image, black, white) - black) * (255.0 / (white - black))
+            return np.asarray(np.rint(spread), dtype=np.uint8)
         outside = (image > white).any() or (image.dtype.kind == "f" and bool((image < 0).any()))
         if outside:
             self.clipped += 1
@@ -105,3 +118,15 @@ def _white(images: list[NDArray[Any]]) -> float | None:
             # Samples of 8 bits and more that are all dark would be stretched by less than cameras have bits.
             return float(white)
     return None
+
+
+def _own_range(images: list[NDArray[Any]], white: float) -> tuple[float, float]:
+    """Return the range of gray values far from 0 and close together, with a margin; else 0 and `white`."""
+    if images[0].dtype.itemsize == 1 or any(image.ndim == 3 and image.shape[2] > 1 for image in images):
+        return 0.0, white
+    ends = np.array([np.quantile(image, (_OUTSIDE, 1.0 - _OUTSIDE)) for image in images])
+    low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
+    span = high - low
+    if span == 0.0 or span >= _FLAT * white or low < span:
+        return 0.0, white
+    return float(np.floor(low - _FLAT * span)), float(np.ceil(high + _FLAT * span))

@@ -66,6 +66,7 @@ _DETECTOR = MaskedBackground(
     edges=0.0,
     still=None,
     motion=None,
+    exposure=None,
     same_light=False,
     frame_rate=25.0,
 )
