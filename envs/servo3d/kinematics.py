@@ -262,16 +262,13 @@ def approach_pose(arm, wanted, angles, row):  # type: ignore[no-untyped-def]
             error[5] += 0.5 * (now[0, j] * wanted[1, j] - now[1, j] * wanted[0, j])
         twist_columns(lines, now[0, 3], now[1, 3], now[2, 3], columns)
         for j in range(n):
-            slope = 0.0
+            step[j] = 0.0
             for i in range(6):
-                slope += columns[j, i] * error[i]
-            step[j] = slope
-            # The lower triangle is all that the solver reads.
-            for k in range(j + 1):
-                entry = _DAMPING if j == k else 0.0
+                step[j] += columns[j, i] * error[i]
+            for k in range(n):
+                normal[j, k] = _DAMPING if j == k else 0.0
                 for i in range(6):
-                    entry += columns[j, i] * columns[k, i]
-                normal[j, k] = entry
+                    normal[j, k] += columns[j, i] * columns[k, i]
         _solve_in_place(normal, step)
         for j in range(n):
             angles[row, j] += step[j]
