@@ -1,8 +1,8 @@
 """Success and accuracy of servos on arms that they do not know, beside a calibrated one: writes docs/arms.md.
 
-    python scripts/arms.py [--episodes 20] [--jobs 1] [--results results/arms] [--output docs/arms.md]
+    python scripts/arms.py [--episodes 20] [--paired 20] [--jobs 1] [--results results/arms] [--output docs/arms.md]
 
-Seeds of the test range, the same for all agents. Finished cells in the folder of results are kept.
+Seeds of the test range, the same for all agents. Finished episodes in the folder of results are kept.
 """
 
 from __future__ import annotations
@@ -24,6 +24,10 @@ CAMERAS = ("hand", "world")
 _CAMERA_NAMES = {"hand": "camera in hand", "world": "camera in the world"}
 AGENTS = ("any-arm", "adaptive-kf", "expert-kf", "ibvs")
 
+_PAIRED = """Levels 1 to 3 again, {episodes} episodes per row of the two servos that have to agree.
+"""
+_SINGLE = """Level 1 with one difficulty more; all arms and cameras together, {episodes} episodes of each.
+"""
 _NOTES = """
 ## A goal that moves
 
@@ -64,12 +68,20 @@ def main() -> None:
     """Run what is missing and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=20, help="episodes per cell")
+    parser.add_argument(
+        "--paired",
+        type=int,
+        default=20,
+        help="episodes per cell of any-arm and ibvs in levels 1 to 3 and difficulties",
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--results", type=Path, default=Path("results/arms"), help="folder of results")
     parser.add_argument("--output", type=Path, default=Path("docs/arms.md"), help="page to write")
     arguments = parser.parse_args()
 
-    def cells(agents: tuple[str, ...], level: int, name: str, settings: Mapping[str, Any]) -> list[dict[str, list]]:
+    def cells(
+        agents: tuple[str, ...], level: int, name: str, settings: Mapping[str, Any], episodes: int
+    ) -> list[dict[str, list]]:
         """Rows by agent, one dictionary per arm and camera."""
         found = []
         for arm in ARMS:
@@ -79,24 +91,27 @@ def main() -> None:
                     agents,
                     [level],
                     folder=arguments.results / f"{name}-{arm}-{camera}",
-                    episodes=arguments.episodes,
+                    episodes=episodes,
                     jobs=arguments.jobs,
                     settings={"arm": arm, "camera": camera, **settings},
                 )
-                found.append({cell.agent: cell.rows[: arguments.episodes] for cell in results})
+                found.append({cell.agent: cell.rows[:episodes] for cell in results})
                 print(name, arm, camera, _line(found[-1], agents), flush=True)
         return found
 
     text = [_head(arguments.episodes)]
     text += ["## Levels\n", _table_head(AGENTS)]
     for level in (1, 2, 3, 4, 5):
-        found = cells(AGENTS, level, f"level-{level}", {})
+        found = cells(AGENTS, level, f"level-{level}", {}, arguments.episodes)
         text += [_row(f"level {level}, {place}", rows, AGENTS) for place, rows in zip(_places(), found, strict=True)]
-    pair = ("any-arm", "ibvs")
-    text += ["\n## Single difficulties\n", "Level 1 with one difficulty more; all arms and cameras together.\n"]
-    text += [_table_head(pair)]
+    pair, paired = ("any-arm", "ibvs"), arguments.paired
+    text += ["\n## Beside the calibrated servo\n", _PAIRED.format(episodes=paired), _table_head(pair)]
+    for level in (1, 2, 3):
+        found = cells(pair, level, f"level-{level}", {}, paired)
+        text += [_row(f"level {level}, {place}", rows, pair) for place, rows in zip(_places(), found, strict=True)]
+    text += ["\n## Single difficulties\n", _SINGLE.format(episodes=paired), _table_head(pair)]
     for number, axis in enumerate(AXES):
-        found = cells(pair, 1, f"axis-{number}", axis.settings)
+        found = cells(pair, 1, f"axis-{number}", axis.settings, paired)
         together = {agent: [row for each in found for row in each[agent]] for agent in pair}
         text.append(_row(axis.name, together, pair))
         for camera in CAMERAS if axis.by_camera else ():

@@ -103,7 +103,8 @@ class ChainJacobian:
         spacing: Largest difference of joint angles of frames that become one keyframe at once, rad.
         reach: Largest difference of joint angles of keyframes that are merged when their number is `keyframes`, rad; of
             farther ones, one is dropped. Larger values keep more of the past, with the errors of the chain then.
-        iterations: Largest number of iterations of the fit in a step.
+        iterations: Largest number of iterations of a fit. After the first `eager` frames, fits of the chain that serves
+            make one. Larger values learn faster and take more time.
         memory: Number of frames over which the prediction errors of chain and linear filter are compared.
         margin: Largest ratio of the chain's mean squared prediction error to the linear filter's with which the chain
             serves. Larger values prefer the chain.

@@ -89,8 +89,8 @@ class ChainBank:
         members = _mapped(alone, lambda each: np.repeat(np.expand_dims(each, axis), count, axis))
         moves, clock = members.chain.moves.copy(), members.chain.clock.copy()
         moves[..., len(self.plays) :] = True
-        # One fit at a time: chains take turns.
-        clock[..., 0] = np.arange(count)
+        # One fit at a time: chains take turns, by the clock of the first.
+        clock[..., 0] = np.arange(count) * self.chain.refit / count
         members = members._replace(chain=members.chain._replace(moves=moves, clock=clock))
         return EstimatorBankState(members, np.zeros((*np.shape(measurement.time), count)))
 

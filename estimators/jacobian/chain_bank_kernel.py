@@ -244,6 +244,9 @@ def _update_bank(  # type: ignore[no-untyped-def]
             if not output.chained[r]:
                 output.log_likelihood[r], output.nis[r] = linear[2][r], linear[3][r]
             weights[row, k] = weighting[0] * log_weight[row, k] + output.log_likelihood[r] / m
+        for k in range(1, count):
+            # By clocks of their own, which depend on the keyframes, several chains would be fitted in one frame.
+            memory.clock[row * count + k, 0] = memory.clock[row * count, 0] + k * settings.refit / count
         _renew_failed(memory, row * count, count, weights[row], settings)
         k = _chosen(weights[row], memory, row * count, weighting[1])
         r = row * count + k

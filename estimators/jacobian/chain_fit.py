@@ -134,13 +134,16 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
     if eager:
         due, challenged = True, False
     if fresh and (eager or challenged):
-        _challenge(memory, settings, 1.0 if eager else float(settings.iterations), row)
+        _challenge(memory, settings, eager, row)
     before = better_chain(memory, row)
     idle = _is_idle(memory, settings, row) if eager else not challenged
     excited, count = np.empty(n), store[0].shape[0]
-    normals, factors, slope = np.empty((2, size, size)), np.empty((2, size, size)), np.empty(size)
+    fits = due or not idle
+    # Most frames of an arm at rest need no room for normal equations.
+    side = size if fits else 0
+    normals, factors, slope = np.empty((2, side, side)), np.empty((2, side, side)), np.empty(size)
     predicted, ready = np.empty((2, count, m)), False
-    if due or not idle:
+    if fits:
         constraint_deviations(store[0], store[2], memory.noise[row], settings, excited)
     if fresh:
         if memory.frames[row] == 0.0:
@@ -153,17 +156,21 @@ def update_row(memory, frame, settings, output, row):  # type: ignore[no-untyped
             _correct(memory, newest, columns, memory.since[row] + 1.0, settings, row, before)
     prior = (excited, memory.noise[row])
     gap = memory.cost[row, 1 - before] - memory.cost[row, before]
+    # Near its optimum, one step is enough; it is what the next frames begin with.
+    iterations = settings.iterations if eager else 1
     if due:
         work = (normals[before], factors[before], slope, predicted[before])
-        ready = _fit(memory, store, newest, prior, settings, work, settings.iterations, row, before)
+        ready = _fit(memory, store, newest, prior, settings, work, iterations, row, before)
     if idle:
         memory.cost[row, 1 - before] = memory.cost[row, before] + gap
     else:
-        if not due:
-            memory.cost[row, before] = _cost(memory, store, newest, prior, settings, predicted[before], row, before)
         h, iterations = 1 - before, 1 if eager and memory.challenge[row, 0] > 0.0 else settings.iterations
         work = (normals[h], factors[h], slope, predicted[h])
         also = _fit(memory, store, newest, prior, settings, work, iterations, row, h)
+        # Each frame since the last fit has added less than this to the cost.
+        added = m * (memory.since[row] + 1.0)
+        if not due and memory.cost[row, h] < memory.cost[row, before] + added:
+            memory.cost[row, before] = _cost(memory, store, newest, prior, settings, predicted[before], row, before)
         ready = ready if better_chain(memory, row) == before else also
     best = better_chain(memory, row)
     fitted = due if best == before else not idle
@@ -398,22 +405,22 @@ def _is_idle(memory, settings, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _challenge(memory, settings, share, row):  # type: ignore[no-untyped-def]
+def _challenge(memory, settings, eager, row):  # type: ignore[no-untyped-def]
     """Replace the worse chain, once it has lost, by another start of the fit: a way out of local minima.
 
     Args:
         memory: A `ChainMemory`; changed.
         settings: A `ChainSettings`.
-        share: Part of a trial that this frame is.
+        eager: True if all frames are fitted as they come.
         row: Row of the batch.
     """
-    if share == 1.0 and _is_idle(memory, settings, row):
+    if eager and _is_idle(memory, settings, row):
         return
     challenge, best = memory.challenge[row], better_chain(memory, row)
-    challenge[1] += share
+    challenge[1] += 1.0 if eager else float(settings.iterations)
     # A challenger that has come to where the better chain is has lost at once. At first both orders gather frames.
     apart = memory.cost[row, 1 - best] - memory.cost[row, best]
-    same = share > 1.0 and apart < settings.small_gain
+    same = not eager and apart < settings.small_gain
     if not same and challenge[1] < (settings.first_trial if challenge[0] == 0.0 else settings.trial):
         return
     joints, points = memory.origin.shape[1], memory.known.shape[1]

@@ -26,7 +26,7 @@ class ChainSettings(NamedTuple):
         spacing: Largest difference of joint angles of frames that are merged at once, rad.
         reach: Largest difference of joint angles of keyframes that are merged for lack of space, rad.
         caution: Factor of the constraints' standard deviations that what a joint has moved the image leaves open.
-        iterations: Iterations of the fit per step.
+        iterations: Iterations of a fit; after the `eager` frames, fits of the better chain make one.
         memory: Memory of the comparison with the linear filter, and of the offsets' size, frames.
         offset_time: Correlation time of the offsets, s.
         margin: Factor of the mean squared errors that the chain must not exceed.
@@ -45,7 +45,7 @@ class ChainSettings(NamedTuple):
         least_gain: Expected decrease of the cost, a log likelihood, below which a fit is complete.
         small_gain: Decrease of the cost after which further iterations wait for the next frame.
         first_trial: Number of frames in which both orders are fitted side by side.
-        trial: Number of frames after which a worse chain has lost.
+        trial: Number of iterations after which a worse chain has lost.
         rarely: Number of frames between two fits of the worse chain, once it has lost often.
         own_share: Number of these fits of which one is that of the better chain, the others of its challenger.
         failed: Ratio of the mean squared errors of chain and linear filter that counts as a failure; its square is that
@@ -107,7 +107,7 @@ class ChainMemory(NamedTuple):
     rates, see `chain_target`. `evidence` is the mean log density of a feature, without its offset, summed over past
     frames with decreasing weights. `factor` is that of the normal equations of the better chain at its last fit,
     `since` the number of frames since then. `clock` is the number of all frames, of which those that add nothing count
-    less, and that of the turns taken; chains whose clocks differ are fitted in different frames.
+    less, and that of the turns taken. The chains of a `ChainBank` share it, each with an offset of its own.
     """
 
     started: Mask
