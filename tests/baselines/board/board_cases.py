@@ -25,9 +25,9 @@ ROWS, TRACE = f"rows/{CELL}.json", f"traces/{CELL}.trace"
 
 
 def write_suite(folder: Path, **changes: Any) -> Path:
-    """Write a suite of one cell with two public and two sealed episodes of 66 steps."""
+    """Write a suite of one cell with two public and two sealed episodes of 66 steps, in two forms."""
     kwargs = {"level": LEVEL, "horizon": HORIZON}
-    cell = {"env_id": "UncalibServo-v0", "env_kwargs": kwargs, "public": 2, "sealed": 2, "anchors": [0.5, 0.002]}
+    cell = {"env_id": "UncalibServo-v0", "env_kwargs": kwargs, "public": 2, "forms": "0110", "anchors": [0.5, 0.002]}
     cell |= {"behavior": behavior_of("UncalibServo-v0", kwargs)} | changes
     head = {"format": "servotrack-suite", "format_version": 1, "name": "tiny", "summary": "for tests", "grid": 32_767}
     path = folder / "tiny.yaml"
