@@ -19,6 +19,7 @@ from servotrack.baselines.board.equal_forms import divided, form_means
 from servotrack.baselines.board.recording import AgentPlayer
 from servotrack.baselines.board.replay import Episode, ReplayError, replayed
 from servotrack.baselines.board.sealed_seeds import FIRST, agent_digest, derived_seeds, form_of
+from servotrack.baselines.board.seed_luck import luckiest, scores_of
 from servotrack.baselines.board.submission import SubmissionError, read_submission
 from servotrack.baselines.board.submit import registered_candidate, submit
 from servotrack.baselines.board.suites import load_suite, suite_names
@@ -101,6 +102,15 @@ def test_forms_are_equal_for_agents_that_agree_on_what_is_hard() -> None:
     assert np.ptp(form_means(unknown, forms)) < 0.5 * np.ptp(form_means(unknown, chance))
     with pytest.raises(ValueError, match="multiple of 8"):
         divided([hard[:-1]], 8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agent", ["kf", "fixed-jacobian", "latency-bank-lifted-kf"])
+def test_no_form_of_the_suite_is_lucky(agent: str) -> None:
+    suite = load_suite("2027a")
+    for env_id in ("UncalibServo-v0", "UncalibServoReach-v0"):
+        means = form_means(scores_of(suite, agent, env_id), {cell.name: cell.forms for cell in suite.cells})
+        assert luckiest(means) < 0.01, (env_id, means)
 
 
 @settings(max_examples=60, deadline=None)
