@@ -1,4 +1,4 @@
-"""Write a suite: `python -m servotrack.baselines.board.freeze NAME > NAME.yaml` measures anchors and behavior."""
+"""Write a suite: `python -m servotrack.baselines.board.freeze NAME > NAME.yaml` measures anchors, behavior, forms."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import yaml
 
 import servotrack  # noqa: F401
 from servotrack.baselines.agents.registry import agent_card
+from servotrack.baselines.board.equal_forms import FORMS, REFERENCES, divided, pool_scores
 from servotrack.baselines.board.recording import AgentPlayer
 from servotrack.baselines.board.replay import ReplayError, replayed
 from servotrack.baselines.board.suites import FORMAT, FORMAT_VERSION, Suite, SuiteCell, behavior_of
@@ -20,20 +21,26 @@ from servotrack.estimators.types import Array
 
 ANCHOR_EPISODES = 400
 GRID = 32_767
-WORLDS = (("UncalibServo-v0", 25, 25), ("UncalibServoReach-v0", 15, 15))
-LEVELS = range(7)
+WORLDS = (
+    ("UncalibServo-v0", 25, (10, 20, 20, 35, 35, 35, 90)),
+    ("UncalibServoReach-v0", 15, (10, 45, 70, 70, 70, 70, 70)),
+)
+"""Ids, public episodes of each level, and sealed episodes by level, about in proportion to the scores' spread there."""
 
 
 def main(names: Sequence[str]) -> None:
     """Print the suite of a name."""
     cells = []
     for env_id, public, sealed in WORLDS:
-        for level in LEVELS:
+        for level, episodes in enumerate(sealed):
             kwargs = {"level": level}
             behavior = behavior_of(env_id, kwargs)
-            cell = SuiteCell(env_id, kwargs, public, sealed, (1.0, 0.5), behavior)
-            fields: dict[str, Any] = {"env_id": env_id, "env_kwargs": kwargs, "public": public, "sealed": sealed}
-            resolution, anchors = anchors_of(cell)
+            undivided = "0" * (FORMS * episodes)
+            resolution, anchors = anchors_of(SuiteCell(env_id, kwargs, public, undivided, (1.0, 0.5), behavior))
+            cell = SuiteCell(env_id, kwargs, public, undivided, (anchors[0], anchors[1]), behavior, resolution)
+            suite = Suite(names[0], "", GRID, (cell,))
+            forms = divided([pool_scores(suite, cell, agent) for agent in REFERENCES], FORMS)
+            fields: dict[str, Any] = {"env_id": env_id, "env_kwargs": kwargs, "public": public, "forms": forms}
             fields |= {"anchors": anchors, "resolution": resolution, "behavior": behavior}
             cells.append(fields)
     head = {"format": FORMAT, "format_version": FORMAT_VERSION, "name": names[0]}

@@ -85,8 +85,8 @@ def bubblewrap() -> str | None:
 def confined(command: Sequence[str], folders: Mapping[str, Path], working: str) -> list[str]:
     """Return the command line that runs a command in a namespace of its own.
 
-    It sees the system's programs, this Python with its packages, and the given folders, all read only, an empty /tmp,
-    and neither network nor other processes.
+    It sees the system's programs, this Python with its packages, and the given folders, all read only, an otherwise
+    empty /tmp, and neither network nor other processes.
 
     Args:
         command: The command.
@@ -102,9 +102,10 @@ def confined(command: Sequence[str], folders: Mapping[str, Path], working: str) 
     line = [program, *_NAMESPACES, "--clearenv"]
     for name, value in inner_environment().items():
         line += ["--setenv", name, value]
+    # First: Python may be installed under /tmp.
+    line += _EMPTY
     for path in _visible():
         line += ["--ro-bind-try", path, path]
-    line += _EMPTY
     for inside, outside in folders.items():
         line += ["--ro-bind-try", str(outside), inside]
     return [*line, "--chdir", working, "--", *command]

@@ -1,4 +1,4 @@
-"""Sealed seeds: they follow from the bytes of an agent's files, so that no agent can have been tuned on its own."""
+"""Sealed seeds: digests choose one of some equally difficult forms, and fresh seeds, for every agent by its files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 
 FIRST = 2**32
-"""Smallest sealed seed; training, tuning and test seeds lie far below."""
+"""Smallest derived seed; training, tuning and test seeds lie far below."""
 _BITS = 48
 """Random bits of a seed. JavaScript holds whole numbers up to 2^53."""
 
@@ -24,15 +24,13 @@ def agent_digest(files: Mapping[str, bytes]) -> str:
     return digest.hexdigest()
 
 
-def sealed_seeds(digest: str, suite: str, cell: str, count: int) -> list[int]:
-    """Return the sealed seeds of an agent in a cell.
+def derived_seeds(origin: str, count: int) -> list[int]:
+    """Return seeds that follow from a text.
 
-    Seed k is 2^32 plus the first 48 bits of SHA-256("digest/suite/cell/k"). Of two equal ones the later is left out.
+    Seed k is 2^32 plus the first 48 bits of SHA-256("origin/k"). Of two equal ones the later is left out.
 
     Args:
-        digest: Digest of the agent; see `agent_digest`.
-        suite: Name of the suite.
-        cell: Name of the cell.
+        origin: The text.
         count: Number of seeds.
 
     Returns:
@@ -41,7 +39,23 @@ def sealed_seeds(digest: str, suite: str, cell: str, count: int) -> list[int]:
     found: dict[int, None] = {}
     k = 0
     while len(found) < count:
-        drawn = hashlib.sha256(f"{digest}/{suite}/{cell}/{k}".encode("ascii")).digest()
-        found.setdefault(FIRST + int.from_bytes(drawn[: _BITS // 8], "big"))
+        found.setdefault(FIRST + _bits(f"{origin}/{k}"))
         k += 1
     return list(found)
+
+
+def form_of(digest: str, suite: str, forms: int) -> int:
+    """Return the number of the form that an agent plays in all cells of a suite, 0 to forms - 1.
+
+    It is the first 48 bits of SHA-256("digest/suite") modulo the number of forms.
+
+    Args:
+        digest: Digest of the agent; see `agent_digest`.
+        suite: Name of the suite.
+        forms: Number of forms.
+    """
+    return _bits(f"{digest}/{suite}") % forms
+
+
+def _bits(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode("ascii")).digest()[: _BITS // 8], "big")

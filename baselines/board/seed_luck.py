@@ -1,79 +1,128 @@
-"""Gain by lucky sealed seeds: `python -m servotrack.baselines.board.seed_luck AGENT` searches 10,000 variants.
+"""Gain by lucky sealed seeds: `python -m servotrack.baselines.board.seed_luck [AGENT ...]`, by default unlike agents.
 
-A comment in an agent's file changes its digest, and with it its sealed seeds. Authors may try many comments and keep
-the luckiest. The gain is the score of the luckiest variant minus the mean score of all. Each cell has a pool of
-episodes on sealed seeds, from which every variant draws its own; running all variants in full would take hours and give
-the same distribution.
+A comment in an agent's file changes its digest, and with it the form that it plays. Authors may try many comments and
+keep the luckiest. The gain is the mean score on the luckiest form minus that on all, so no number of variants gains
+more. It stands beside two other designs with as many episodes, by draws from the same pool: the forms by chance, and
+free seeds for every digest, of which 10,000 variants are searched.
+
+The suite's forms are equal for the reference agents by construction. So the pool is also divided anew, several times,
+by the reference agents other than the agent: the mean gain is that of an unknown agent of its kind.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 import servotrack  # noqa: F401
-from servotrack.baselines.agents.registry import agent_card
-from servotrack.baselines.board.recording import AgentPlayer
-from servotrack.baselines.board.replay import ReplayError, replayed
-from servotrack.baselines.board.sealed_seeds import sealed_seeds
+from servotrack.baselines.board.equal_forms import FORMS, REFERENCES, divided, form_means, pool_scores
 from servotrack.baselines.board.suites import Suite, load_suite
+from servotrack.baselines.board.verification import SUSPICIOUS
+from servotrack.baselines.board.verify import FRESH
 from servotrack.estimators.types import Array
 
 VARIANTS = 10_000
-POOL = 1000
-"""Episodes in the pool of a cell. Raising it takes longer and makes equal draws rarer."""
-SEALED = (10, 25, 100, 400)
-WANTED = 0.01
-_TOGETHER = 100
+DIVISIONS = 5
+"""Divisions whose mean gain is printed. Raising it takes longer."""
+AGENTS = (*REFERENCES, "latency-bank-lifted-kf", "level-kf")
+MANY_FRESH = 400
+
+Scores = Mapping[str, Array]
+"""Scores on the pool by name of the cell."""
 
 
-def pools(suite: Suite, agent: str, env_id: str) -> list[Array]:
-    """Return the scores of an agent on `POOL` sealed seeds of each cell of a world."""
-    found = []
-    player = AgentPlayer(agent_card(agent))
-    for cell in suite.cells:
-        if cell.env_id != env_id:
-            continue
-        seeds = sealed_seeds("0" * 64, f"{suite.name}/luck", cell.name, POOL)
-        episodes = [
-            episode
-            for start in range(0, POOL, _TOGETHER)
-            for episode in player.play(suite, cell, seeds[start : start + _TOGETHER])
-        ]
-        rows = [row for row in replayed(suite, cell, episodes) if not isinstance(row, ReplayError)]
-        found.append(cell.scores(rows))
-    return found
+def scores_of(suite: Suite, agent: str, env_id: str) -> Scores:
+    """Return the scores of an agent on the pools of a world's cells."""
+    return {cell.name: pool_scores(suite, cell, agent) for cell in suite.cells if cell.env_id == env_id}
 
 
-def luckiest(scores: Sequence[Array], sealed: int, variants: int = VARIANTS, seed: int = 0) -> tuple[float, float]:
-    """Return the gain of the luckiest of many variants, and the standard deviation over variants.
+def luckiest(means: Array) -> float:
+    """Return the largest of some mean scores minus their mean."""
+    return float(means.max() - means.mean())
+
+
+def gain_on_free_seeds(scores: Scores, sealed: Mapping[str, int], seed: int = 0) -> float:
+    """Return the gain of the luckiest of `VARIANTS` variants, each with seeds of its own from the pools.
 
     Args:
-        scores: Scores of the pools, one array per cell.
+        scores: Scores on the pools.
         sealed: Sealed episodes of each cell.
-        variants: Number of variants.
         seed: Seed of the draws.
     """
     draws = np.random.default_rng(seed)
-    means = np.mean([pool[draws.integers(len(pool), size=(variants, sealed))].mean(axis=1) for pool in scores], axis=0)
-    return float(means.max() - means.mean()), float(means.std())
+    means = [
+        values[draws.integers(len(values), size=(VARIANTS, sealed[name]))].mean(axis=1)
+        for name, values in scores.items()
+    ]
+    return luckiest(np.mean(means, axis=0))
+
+
+def gain_on_forms(scores: Scores, references: Sequence[Scores]) -> float:
+    """Return the mean gain over several divisions of the pools into forms.
+
+    Args:
+        scores: Scores of an agent.
+        references: Scores of the reference agents; none divides by chance.
+    """
+    gains = []
+    for seed in range(DIVISIONS):
+        forms = {
+            name: divided([other[name] for other in references] or [np.zeros(len(values))], FORMS, seed)
+            for name, values in scores.items()
+        }
+        gains.append(luckiest(form_means(scores, forms)))
+    return float(np.mean(gains))
+
+
+def correlation(a: Scores, b: Scores) -> float:
+    """Return the correlation of two agents' scores over seeds, within cells."""
+    both = [np.concatenate([values - values.mean() for values in scores.values()]) for scores in (a, b)]
+    return float(np.corrcoef(both)[0, 1])
+
+
+def note_threshold(suite: Suite, scores: Sequence[Scores], fresh: int) -> float:
+    """Return the gap between known and fresh seeds from which the verifier makes a note.
+
+    Args:
+        suite: The suite.
+        scores: Scores of one agent in each world.
+        fresh: Fresh episodes in each cell.
+    """
+    found = {name: values for world in scores for name, values in world.items()}
+    known = {cell.name: cell.public + cell.sealed for cell in suite.cells}
+    variance = sum(values.var() * (1 / known[name] + 1 / fresh) for name, values in found.items())
+    return SUSPICIOUS * float(np.sqrt(variance)) / len(found)
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print the gains for several numbers of sealed episodes."""
+    """Print the gains in each world."""
     suite = load_suite("2027a")
-    for agent in arguments or ("kf",):
-        for env_id in dict.fromkeys(cell.env_id for cell in suite.cells):
-            scores = pools(suite, agent, env_id)
-            for sealed in SEALED:
-                gain, spread = luckiest(scores, sealed)
-                print(f"{agent} {env_id}: {sealed:4d} sealed episodes a cell: luckiest {gain:+.4f}, s.d. {spread:.4f}")
-            single = np.sqrt(sum(pool.var() for pool in scores)) / len(scores)
-            # The largest of 10,000 normal values lies 3.85 standard deviations above their mean.
-            needed = (3.85 * single / WANTED) ** 2
-            print(f"{agent} {env_id}: a gain below {WANTED} needs some {needed:.0f} sealed episodes a cell", flush=True)
+    agents = list(arguments) or list(AGENTS)
+    worlds = list(dict.fromkeys(cell.env_id for cell in suite.cells))
+    sealed = {cell.name: cell.sealed for cell in suite.cells}
+    forms = {cell.name: cell.forms for cell in suite.cells}
+    scores = {
+        agent: [scores_of(suite, agent, env_id) for env_id in worlds] for agent in dict.fromkeys([*REFERENCES, *agents])
+    }
+    print("| agent | world | forms of the suite | equal forms by other agents | forms by chance | free seeds |")
+    print("|---|---|---|---|---|---|")
+    for agent in agents:
+        for k, env_id in enumerate(worlds):
+            own = scores[agent][k]
+            here = luckiest(form_means(own, forms))
+            others = [scores[other][k] for other in REFERENCES if other != agent]
+            gains = [here, gain_on_forms(own, others), gain_on_forms(own, []), gain_on_free_seeds(own, sealed)]
+            print(f"| {agent} | {env_id} | " + " | ".join(f"{gain:+.4f}" for gain in gains) + " |", flush=True)
+    for k, env_id in enumerate(worlds):
+        pairs = itertools.combinations([scores[agent][k] for agent in agents if agent != "random"], 2)
+        found = [correlation(*pair) for pair in pairs]
+        print(f"{env_id}: scores of two agents correlate by {min(found):.2f} to {max(found):.2f} over seeds")
+    for fresh in (FRESH, MANY_FRESH):
+        gaps = [note_threshold(suite, scores[agent], fresh) for agent in agents]
+        print(f"{fresh} fresh episodes: a gap of {min(gaps):.3f} to {max(gaps):.3f} makes a note", flush=True)
 
 
 if __name__ == "__main__":

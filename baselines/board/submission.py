@@ -24,7 +24,7 @@ from servotrack.baselines.agents.protocol import Information
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.board.card import LARGEST_CARD, MOST_FILES, check_card
 from servotrack.baselines.board.replay import Episode
-from servotrack.baselines.board.sealed_seeds import agent_digest, sealed_seeds
+from servotrack.baselines.board.sealed_seeds import agent_digest
 from servotrack.baselines.board.suites import MOST_EPISODES, Suite, SuiteCell, load_suite
 from servotrack.baselines.board.trace_files import LARGEST_TRACE, Trace, decoded
 from servotrack.baselines.evaluation.evaluate import make_vector
@@ -114,7 +114,7 @@ class Submission:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of the agent's files, from which the sealed seeds follow."""
+        """Digest of the agent's files, which chooses the form of the sealed seeds."""
         return agent_digest(self.agent_files)
 
     @property
@@ -245,10 +245,10 @@ def _read_cell(folder: Path, card: Mapping[str, Any], suite: Suite, cell: SuiteC
     path = folder / rows_name
     content = _read_listed(path, LARGEST_ROWS, listed["rows"])
     rows = _checked(path, lambda: _parsed_rows(content, card, cell))
-    required = {"public": cell.public_seeds, "sealed": sealed_seeds(digest, suite.name, cell.name, cell.sealed)}
+    required = {"public": cell.public_seeds, "sealed": suite.sealed_seeds(cell, digest)}
     for part, seeds in required.items():
         if [row["seed"] for row in rows[part]] != seeds:
-            why = "the first test seeds" if part == "public" else "those that follow from the agent's files"
+            why = "the first test seeds" if part == "public" else "those of the form that the agent's files choose"
             raise SubmissionError(f"{path}: {part} seeds must be {why}, {len(seeds)} of them, in order")
     path = folder / trace_name
     content = _read_listed(path, LARGEST_TRACE, listed["trace"])

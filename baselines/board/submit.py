@@ -24,7 +24,7 @@ from servotrack.baselines.board.card import FILE_NAME, MOST_FILES, NAME, sealed_
 from servotrack.baselines.board.message_agent import MessageAgent
 from servotrack.baselines.board.recording import AgentPlayer, Player
 from servotrack.baselines.board.replay import Episode, ReplayError, replayed
-from servotrack.baselines.board.sealed_seeds import agent_digest, sealed_seeds
+from servotrack.baselines.board.sealed_seeds import agent_digest
 from servotrack.baselines.board.submission import (
     AGENT,
     CARD,
@@ -231,7 +231,7 @@ def submit(
             _write(staged / AGENT / name, content, executable=candidate.kind == "command")
         listed: dict[str, dict[str, str]] = {}
         with _player(candidate, staged / AGENT) as player:
-            seeds = [[*cell.public_seeds, *sealed_seeds(digest, suite.name, cell.name, cell.sealed)] for cell in chosen]
+            seeds = [[*cell.public_seeds, *suite.sealed_seeds(cell, digest)] for cell in chosen]
             for cell, episodes in zip(chosen, _played(player, suite, chosen, seeds), strict=True):
                 contents = recorded(suite, cell, episodes)
                 for name, content in zip(cell_files(cell.name), contents, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 
 from servotrack.baselines.agents.learned.field_rules import Many, Number, Plain, Record, Text, Whole
+from servotrack.baselines.board.sealed_seeds import derived_seeds, form_of
 from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.episodes import EpisodeRecorder
 from servotrack.baselines.evaluation.evaluate import make_vector
@@ -25,6 +27,8 @@ FORMAT, FORMAT_VERSION = "servotrack-suite", 1
 FOLDER = Path(__file__).parent / "suites"
 MOST_EPISODES = 1000
 """Largest number of episodes of one part of a cell."""
+MOST_FORMS = 16
+"""Largest number of forms of the sealed episodes, one hexadecimal digit."""
 
 LEAST_SHARE = 1e-3
 """Share of the error at score 1 that an episode counts at least. Part of every frozen suite: it must not change."""
@@ -36,12 +40,12 @@ _CELL = Record(
         "env_id": Text(100, r"[\w.-]+", "an id of Gymnasium without a module"),
         "env_kwargs": Plain(20, Text(100, r"[A-Za-z_]\w*", "an identifier")),
         "public": Whole(1, MOST_EPISODES),
-        "sealed": Whole(1, MOST_EPISODES),
+        "forms": Text(MOST_FORMS * MOST_EPISODES, "[0-9a-f]+", "one hexadecimal digit for each seed of the pool"),
         "anchors": Many(Number(0.0, 1e6), 2, 2),
         "behavior": _HEX,
         "resolution": Number(0.0, 1e6),
     },
-    required=("env_id", "env_kwargs", "public", "sealed", "anchors", "behavior"),
+    required=("env_id", "env_kwargs", "public", "forms", "anchors", "behavior"),
 )
 _SUITE = Record(
     {
@@ -67,7 +71,7 @@ class SuiteCell:
         env_id: Gymnasium id.
         env_kwargs: Arguments of the environment.
         public: Number of episodes on public test seeds.
-        sealed: Number of episodes on seeds that follow from the agent's file.
+        forms: Form of each seed of the pool of sealed seeds, as one hexadecimal digit. All forms have as many seeds.
         anchors: Errors at which the score is 0 and 1, in the unit of the rows.
         behavior: Digest of the world's behavior when the suite was frozen; see `behavior_of`.
         resolution: Error that is added to all errors before their logarithm is taken. It keeps a bound of 0 finite; a
@@ -77,7 +81,7 @@ class SuiteCell:
     env_id: str
     env_kwargs: Mapping[str, Any]
     public: int
-    sealed: int
+    forms: str
     anchors: tuple[float, float]
     behavior: str
     resolution: float = 0.0
@@ -96,6 +100,16 @@ class SuiteCell:
     def public_seeds(self) -> list[int]:
         """Public test seeds: the first ones of the range that `servotrack bench` reports on."""
         return seed_ranges.take("test", self.public)
+
+    @property
+    def form_count(self) -> int:
+        """Number of forms."""
+        return len(set(self.forms))
+
+    @property
+    def sealed(self) -> int:
+        """Number of episodes on the sealed seeds of one form."""
+        return len(self.forms) // self.form_count
 
     def is_stale(self) -> bool:
         """True if this package's world behaves differently from that of the frozen suite."""
@@ -124,7 +138,7 @@ class Suite:
     """A frozen suite.
 
     Attributes:
-        name: Name, part of the derivation of sealed seeds.
+        name: Name, part of the derivation of sealed and fresh seeds.
         summary: Description in one line.
         grid: Steps of the action grid from the middle of the action space to its bound.
         cells: Environments.
@@ -147,6 +161,31 @@ class Suite:
         raise ValueError(
             f"suite {self.name} has no cell {name!r}; it has {', '.join(cell.name for cell in self.cells)}"
         )
+
+    def pool(self, cell: SuiteCell) -> list[int]:
+        """Return the seeds of all forms of a cell: `derived_seeds` of "suite/cell"."""
+        return list(_pool(f"{self.name}/{cell.name}", len(cell.forms)))
+
+    def sealed_seeds(self, cell: SuiteCell, digest: str) -> list[int]:
+        """Return the sealed seeds of an agent in a cell: those of its form, in the order of the pool.
+
+        Args:
+            cell: The cell.
+            digest: Digest of the agent; see `servotrack.baselines.board.sealed_seeds.agent_digest`.
+        """
+        own = f"{form_of(digest, self.name, cell.form_count):x}"
+        return [seed for seed, form in zip(self.pool(cell), cell.forms, strict=True) if form == own]
+
+    def fresh_seeds(self, cell: SuiteCell, digest: str, nonce: str, count: int) -> list[int]:
+        """Return seeds that follow from the agent's files and a nonce, which is drawn after the submission.
+
+        Args:
+            cell: The cell.
+            digest: Digest of the agent.
+            nonce: Text that the verifier draws.
+            count: Number of seeds.
+        """
+        return derived_seeds(f"{digest}/{self.name}/{nonce}/{cell.name}", count)
 
 
 def suite_names() -> list[str]:
@@ -186,11 +225,24 @@ def _read_suite(path: Path) -> Suite:
     return Suite(document["name"], document["summary"], document["grid"], cells)
 
 
+@lru_cache(maxsize=64)
+def _pool(origin: str, count: int) -> tuple[int, ...]:
+    return tuple(derived_seeds(origin, count))
+
+
 def _check_cells(cells: Sequence[SuiteCell]) -> None:
     names = [cell.name for cell in cells]
     if len(set(names)) != len(names):
         raise ValueError("two cells are the same environment")
+    # One digest chooses one form for all cells.
+    known = [f"{form:x}" for form in range(cells[0].form_count)]
     for cell in cells:
+        sizes = Counter(cell.forms)
+        if sorted(sizes) != known or len(set(sizes.values())) != 1 or cell.sealed > MOST_EPISODES:
+            raise ValueError(
+                f"forms of {cell.name} must be {len(known)}, numbered from 0, with equally many seeds each, at most "
+                f"{MOST_EPISODES}, got {dict(sorted(sizes.items()))}"
+            )
         if cell.world.anchors is None:
             raise ValueError(f"{cell.name} has no score")
         if not cell.anchors[1] < cell.anchors[0]:

@@ -18,7 +18,6 @@ from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.board.arithmetic import arithmetic_digest
 from servotrack.baselines.board.recording import AgentPlayer, Player
 from servotrack.baselines.board.replay import Episode, ReplayError, replayed
-from servotrack.baselines.board.sealed_seeds import sealed_seeds
 from servotrack.baselines.board.submission import AGENT, PARTS, Part, Submission, read_submission
 from servotrack.baselines.board.submit import AGENT_FILE, ARITHMETIC, registered_candidate
 from servotrack.baselines.board.suites import Suite, SuiteCell
@@ -160,7 +159,7 @@ def _check_registered(submission: Submission) -> None:
             fields["networks"] = document["networks"]
         _compare_agent_file(content, fields, name)
         return
-    # The seeds follow from these bytes: nothing in them may be free to choose.
+    # These bytes choose the sealed seeds: nothing in them may be free to choose.
     own = registered_candidate(name, "")
     _compare_agent_file(content, json.loads(own.files[AGENT_FILE]), name)
     claims = submission.card["claims"]
@@ -292,7 +291,7 @@ def run_again(submission: Submission, verdict: Verdict, players: Sequence[Player
                 equal = False
                 found.detail = f"run {number + 1}: {different}"
         if fresh:
-            seeds = sealed_seeds(submission.digest, f"{submission.suite.name}/{nonce}", cell.name, fresh)
+            seeds = submission.suite.fresh_seeds(cell, submission.digest, nonce, fresh)
             found.fresh = fresh_score(submission.suite, cell, players[0].play(submission.suite, cell, seeds))
     if not equal:
         verdict.notes.append("The agent gives other actions than the submitted ones.")

@@ -30,7 +30,9 @@ DEFAULT_EPISODES = 100
 TASK_EPISODES = 25
 """Episodes of one task on a cluster: what the loss of a worker costs."""
 SAVE_INTERVAL = 2.0
-"""Longest wait of finished tasks of a cluster to be saved together, s. Larger values lose more by a SIGKILL."""
+"""Wait of finished tasks of a cluster to be saved together, s. Larger values lose more by a SIGKILL."""
+SAVING_SHARE = 0.02
+"""Largest share of the time that saving takes before a cell is complete. Lower values lose more by a SIGKILL."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +216,8 @@ def _evaluated_elsewhere(
 ) -> Iterator[None]:
     """Evaluate on a cluster, whose workers may not see the folder: this process saves their rows.
 
-    A file is written anew each time, so rows wait for each other for `SAVE_INTERVAL`, or until their cell is complete.
+    A file is written anew each time, which takes longer the more rows it has. So rows wait for each other for
+    `SAVE_INTERVAL`, longer where saving would take more than `SAVING_SHARE`, or until their cell is complete.
     """
     tasks = []
     for cell in cells:
@@ -224,7 +227,7 @@ def _evaluated_elsewhere(
     unfinished = Counter(cells.index(cell) for cell, _ in tasks)
     calls = (delayed(_evaluated_task)(cells.index(cell), cell, chunk, record) for cell, chunk in tasks)
     waiting: dict[int, CellResults] = {}
-    saved = time.monotonic()
+    due = time.monotonic() + SAVE_INTERVAL
     try:
         for number, result in in_workers(calls, -1):
             if number in waiting:
@@ -232,10 +235,10 @@ def _evaluated_elsewhere(
             else:
                 waiting[number] = result
             unfinished[number] -= 1
-            if time.monotonic() - saved > SAVE_INTERVAL:
+            if (begin := time.monotonic()) > due:
                 while waiting:
                     folder.save(waiting.popitem()[1])
-                saved = time.monotonic()
+                due = time.monotonic() + max(SAVE_INTERVAL, (time.monotonic() - begin) / SAVING_SHARE)
             if not unfinished[number]:
                 if number in waiting:
                     folder.save(waiting.pop(number))

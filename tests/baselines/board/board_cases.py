@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import yaml
 from servotrack.baselines.board.card import _seal, _text
 from servotrack.baselines.board.submit import Candidate, command_candidate, registered_candidate, submit
 from servotrack.baselines.board.suites import Suite, behavior_of, load_suite
-from servotrack.baselines.board.verification import Verdict
+from servotrack.baselines.board.verification import Verdict, open_submission, replay_all
 from servotrack.baselines.board.verify_child import Order, verify_all
 
 ROOT = Path(__file__).parents[3]
@@ -25,9 +24,9 @@ ROWS, TRACE = f"rows/{CELL}.json", f"traces/{CELL}.trace"
 
 
 def write_suite(folder: Path, **changes: Any) -> Path:
-    """Write a suite of one cell with two public and two sealed episodes of 66 steps."""
+    """Write a suite of one cell with two public and two sealed episodes of 66 steps, in two forms."""
     kwargs = {"level": LEVEL, "horizon": HORIZON}
-    cell = {"env_id": "UncalibServo-v0", "env_kwargs": kwargs, "public": 2, "sealed": 2, "anchors": [0.5, 0.002]}
+    cell = {"env_id": "UncalibServo-v0", "env_kwargs": kwargs, "public": 2, "forms": "0110", "anchors": [0.5, 0.002]}
     cell |= {"behavior": behavior_of("UncalibServo-v0", kwargs)} | changes
     head = {"format": "servotrack-suite", "format_version": 1, "name": "tiny", "summary": "for tests", "grid": 32_767}
     path = folder / "tiny.yaml"
@@ -54,14 +53,27 @@ def judged(folder: Path, suite: Path, **options: Any) -> Verdict:
     return verify_all(Order([str(folder)], str(suite), **options))[0]
 
 
+def replayed_verdict(folder: Path, suite: Suite) -> Verdict:
+    """Verify one folder as `judged` does, for a suite that is read once for many folders."""
+    opened = [open_submission(folder, suite)]
+    replay_all(opened)
+    return opened[0][1]
+
+
 def contents_of(folder: Path) -> dict[str, bytes]:
     """Return the contents of all files by name."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def write_contents(folder: Path, contents: Mapping[str, bytes]) -> Path:
-    """Write a folder anew."""
-    shutil.rmtree(folder, ignore_errors=True)
+    """Write a folder anew. Inner folders stay if they are written again: removing them is slow on a disk."""
+    kept = {folder / parent for name in contents for parent in Path(name).parents}
+    for path in sorted(folder.rglob("*"), reverse=True):
+        if path.is_dir() and not path.is_symlink():
+            if path not in kept:
+                path.rmdir()
+        else:
+            path.unlink()
     for name, content in contents.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)

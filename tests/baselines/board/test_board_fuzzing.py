@@ -18,7 +18,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board_cases import ROWS, TRACE, contents_of, judged, resealed, rows_content, submitted, write_contents, write_suite
+from board_cases import (
+    ROWS,
+    TRACE,
+    contents_of,
+    judged,
+    replayed_verdict,
+    resealed,
+    rows_content,
+    submitted,
+    write_contents,
+    write_suite,
+)
 
 import servotrack
 from servotrack.baselines.board.submit import network_candidate
@@ -256,7 +267,7 @@ def mutate(folder: Path, count: int, seed: int) -> Counter[str]:
         contents = mutations()
         path = write_contents(folder / "case", contents)
         begin = time.perf_counter()
-        verdict = judged(path, suite)
+        verdict = replayed_verdict(path, frozen)
         longest = max(longest, time.perf_counter() - begin)
         states = {cell.state for cell in verdict.cells.values()}
         found["refused" if verdict.refused else f"measured, {'/'.join(sorted(states))}"] += 1

@@ -62,7 +62,8 @@ def _episodes(change: Callable[[list[Any]], Any]) -> Change:
 
 
 def _nudge(episodes: list[Any]) -> None:
-    episodes[2][40, 1] += 1
+    # In the episode before it the arm rests at a joint limit, where another rate beyond it changes nothing.
+    episodes[3][40, 1] += 1
 
 
 def _header(index: int, value: int) -> Change:

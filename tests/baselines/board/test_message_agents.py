@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 from board_cases import EXAMPLES, judged, program, submitted
 
-from servotrack.baselines.board import message_agent
+from servotrack.baselines.board import message_agent, sandbox
 from servotrack.baselines.board.message_agent import MessageError
-from servotrack.baselines.board.sandbox import bubblewrap
+from servotrack.baselines.board.sandbox import bubblewrap, confined
 from servotrack.baselines.board.submission import read_submission
 from servotrack.baselines.board.submit import command_candidate
 from servotrack.baselines.board.suites import load_suite
@@ -43,6 +44,17 @@ def test_the_examples_give_the_same_actions_in_three_languages(tmp_path: Path, s
         assert (judged(folder, suite).badge, submission.information) == ("replayed", "undeclared")
     for points in played.values():
         assert all(np.array_equal(a, b) for a, b in zip(points, played["py"], strict=True))
+
+
+@needs_bubblewrap
+def test_python_may_be_installed_under_tmp(monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory(dir="/tmp") as place:
+        path = Path(place) / "python"
+        path.write_text("here")
+        for visible, code in (([place], 0), ([], 1)):
+            monkeypatch.setattr(sandbox, "_visible", lambda added=visible: [*sandbox._SYSTEM, *added])
+            done = subprocess.run(confined(["/bin/cat", str(path)], {}, "/tmp"), capture_output=True, check=False)
+            assert (done.returncode, done.stdout) == (code, b"" if code else b"here")
 
 
 @needs_bubblewrap

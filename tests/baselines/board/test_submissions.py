@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ from hypothesis import strategies as st
 
 from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.board.action_grid import ActionGrid
+from servotrack.baselines.board.equal_forms import divided, form_means
 from servotrack.baselines.board.recording import AgentPlayer
 from servotrack.baselines.board.replay import Episode, ReplayError, replayed
-from servotrack.baselines.board.sealed_seeds import FIRST, agent_digest, sealed_seeds
+from servotrack.baselines.board.sealed_seeds import FIRST, agent_digest, derived_seeds, form_of
+from servotrack.baselines.board.seed_luck import luckiest, scores_of
 from servotrack.baselines.board.submission import SubmissionError, read_submission
 from servotrack.baselines.board.submit import registered_candidate, submit
 from servotrack.baselines.board.suites import load_suite, suite_names
@@ -39,17 +43,74 @@ def test_a_changed_world_is_stale(tmp_path: Path) -> None:
         submit(registered_candidate("kf", ""), suite, tmp_path / "kf")
 
 
-def test_sealed_seeds_follow_from_files_suite_and_cell() -> None:
-    digest = agent_digest({"agent.py": b"pass"})
-    seeds = sealed_seeds(digest, "2027a", CELL, 500)
+def test_derived_seeds_are_apart_from_all_others() -> None:
+    seeds = derived_seeds(f"2027a/{CELL}", 500)
     assert len(set(seeds)) == 500
     assert min(seeds) >= FIRST > TEST.stop
     assert max(seeds) < 2**53
-    others = [agent_digest({"agent.py": b"pass "}), agent_digest({"agent.p": b"ypass"}), digest]
-    places = [("2027a", CELL), ("2027a", CELL), ("2027b", CELL)]
-    for other, place in zip(others, places, strict=True):
-        assert not set(seeds) & set(sealed_seeds(other, *place, 500))
-    assert sealed_seeds(digest, "2027a", CELL, 3) == seeds[:3]
+    assert not set(seeds) & set(derived_seeds(f"2027b/{CELL}", 500))
+    assert derived_seeds(f"2027a/{CELL}", 3) == seeds[:3]
+
+
+def test_the_files_of_an_agent_choose_one_form_for_all_cells() -> None:
+    suite = load_suite("2027a")
+    for cell in suite.cells:
+        pool = suite.pool(cell)
+        digests = [agent_digest({"agent.py": b"pass" + b" " * k}) for k in range(60)]
+        forms = {tuple(suite.sealed_seeds(cell, digest)) for digest in digests}
+        assert len(forms) == cell.form_count
+        assert sorted(seed for form in forms for seed in form) == sorted(pool)
+        number = form_of(digests[0], suite.name, cell.form_count)
+        assert suite.sealed_seeds(cell, digests[0]) == [
+            s for s, f in zip(pool, cell.forms, strict=True) if int(f) == number
+        ]
+        assert not set(pool) & set(suite.fresh_seeds(cell, digests[0], "nonce", 100))
+
+
+def test_a_stranger_can_compute_the_sealed_seeds() -> None:
+    # By the words of docs/board.md alone.
+    files, suite = {"b.txt": b"2", "a.py": b"1"}, load_suite("2027a")
+    parts = (b"a.py", b"1", b"b.txt", b"2")
+    digest = hashlib.sha256(b"".join(bytes([len(part)]) + bytes(7) + part for part in parts)).hexdigest()
+    assert digest == agent_digest(files)
+
+    def bits(text: str) -> int:
+        return int(hashlib.sha256(text.encode()).hexdigest()[:12], 16)
+
+    cell = suite.cells[3]
+    form = bits(f"{digest}/2027a") % 4
+    own = [2**32 + bits(f"2027a/{cell.name}/{k}") for k in range(len(cell.forms)) if cell.forms[k] == str(form)]
+    assert own == suite.sealed_seeds(cell, digest)
+
+
+@pytest.mark.parametrize("forms", ["011", "0112", "1122", "0g"])
+def test_forms_must_be_equally_large(tmp_path: Path, forms: str) -> None:
+    with pytest.raises(ResultsError, match="forms"):
+        load_suite(str(write_suite(tmp_path, forms=forms)))
+
+
+def test_forms_are_equal_for_agents_that_agree_on_what_is_hard() -> None:
+    draws = np.random.default_rng(3)
+    hard = draws.normal(size=160)
+    scores = [hard * share + 0.3 * draws.normal(size=160) for share in (1.0, 2.0, 0.5)]
+    forms = {"cell": divided(scores, 8)}
+    chance = {"cell": divided([np.zeros(160)], 8)}
+    assert sorted(Counter(forms["cell"]).items()) == [(f"{k}", 20) for k in range(8)]
+    for own in scores:
+        assert np.ptp(form_means({"cell": own}, forms)) < 0.1 * np.ptp(form_means({"cell": own}, chance))
+    unknown = {"cell": hard + 0.3 * draws.normal(size=160)}
+    assert np.ptp(form_means(unknown, forms)) < 0.5 * np.ptp(form_means(unknown, chance))
+    with pytest.raises(ValueError, match="multiple of 8"):
+        divided([hard[:-1]], 8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agent", ["kf", "fixed-jacobian", "latency-bank-lifted-kf"])
+def test_no_form_of_the_suite_is_lucky(agent: str) -> None:
+    suite = load_suite("2027a")
+    for env_id in ("UncalibServo-v0", "UncalibServoReach-v0"):
+        means = form_means(scores_of(suite, agent, env_id), {cell.name: cell.forms for cell in suite.cells})
+        assert luckiest(means) < 0.01, (env_id, means)
 
 
 @settings(max_examples=60, deadline=None)

@@ -46,7 +46,7 @@
     if (task.rows.some((row) => row.success)) columns.push({ key: "success", title: "success %", sort: (row) => row.success?.[0], cell: (row) => interval(row.success, 0, 100), high: true });
     for (const measure of [headline, ...others]) columns.push({ key: measure.column, title: `${measure.heading} ${measure.unit}`, sort: (row) => row.measures[measure.column]?.[0], cell: (row) => interval(row.measures[measure.column], measure.digits, measure.factor), high: measure.highIsGood });
     if (task.scored) columns.push({ key: "worst", title: "worst tenth", hint: "mean score of the worst tenth of the episodes", sort: (row) => row.worst, cell: (row) => ns.fixed(row.worst, 2), high: true });
-    if (task.rows.some((row) => row.sealed)) columns.push({ key: "sealed", title: "sealed, fresh", hint: "mean scores on seeds that follow from the agent's files, and on seeds that the verifier drew", sort: (row) => row.sealed?.[0], high: true,
+    if (task.rows.some((row) => row.sealed)) columns.push({ key: "sealed", title: "sealed, fresh", hint: "mean scores on the form of sealed seeds that the agent's files choose, and on seeds that the verifier drew", sort: (row) => row.sealed?.[0], high: true,
       cell: (row) => row.sealed && [interval(row.sealed, 2), row.fresh !== null && h("span", { class: "soft" }, `, ${ns.fixed(row.fresh, 2)}`)] });
     else if (task.rows.some((row) => row.overBound !== null)) columns.push({ key: "bound", title: "× bound", hint: "mean error over the least that is possible", sort: (row) => row.overBound, cell: (row) => ns.fixed(row.overBound, 2) });
     if (reference) columns.push({ key: "difference", title: `− ${task.reference} ${headline.unit}`, hint: "mean difference by seed; * below p = 0.05 after Holm's correction", sort: (row) => row.difference?.[0], high: headline.highIsGood,
@@ -173,7 +173,7 @@
     const scored = task ? task.scored : world.overall.length > 0;
     return h("p", { class: "note" },
       scored && world.scale && `Score: 0 is ${world.scale[0]}, 1 is ${world.scale[1]}; the scale is logarithmic in the mean error after 3 s. `,
-      task && task.rows.some((row) => row.sealed) && "Ranked on public seeds; sealed ones follow from the agent's files, fresh ones were drawn by the verifier. ",
+      task && task.rows.some((row) => row.sealed) && "Ranked on public seeds; sealed ones are a form that the agent's files choose, fresh ones were drawn by the verifier. ",
       "Intervals: 95 %. † sees the truth. ",
       task && task.rows.some((row) => row.difference) && `Differences are paired by seed against ${task.reference}; * below p = 0.05 after Holm's correction. `,
       h("a", { href: ns.address("proof") }, "What the badges prove"), ".",
