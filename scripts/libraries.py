@@ -172,7 +172,7 @@ def run(name: str, library: Library, python: Path, script: str, options: tuple[s
     ]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        variables = {**os.environ, "MINARI_DATASETS_PATH": folder, "RAY_ADDRESS": "local"}
+        variables = {**os.environ, "MINARI_DATASETS_PATH": folder, "RAY_ADDRESS": "local", "RAY_AUTH_MODE": "disabled"}
         done = subprocess.run(
             command, cwd=folder, env=variables, capture_output=True, text=True, timeout=LIMIT, check=False
         )

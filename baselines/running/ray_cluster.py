@@ -36,7 +36,7 @@ def connected(address: str, answer_time: float) -> Iterator[None]:
         answer_time: Longest time in which it takes a connection, s.
 
     Raises:
-        OSError: The head does not answer.
+        OSError: The head does not answer, or asks for a token.
         RuntimeError: The head has another version of Ray or Python.
     """
     host, colon, port = address.removeprefix("ray://").rpartition(":")
@@ -47,6 +47,8 @@ def connected(address: str, answer_time: float) -> Iterator[None]:
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
     try:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    except ConnectionError as error:
+        raise ConnectionError("no connection; if the head asks for a token, set RAY_AUTH_MODE=token") from error
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

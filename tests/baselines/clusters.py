@@ -88,6 +88,8 @@ def _running(command: Sequence[str], log: Path) -> Iterator[subprocess.Popen[Any
         "PYTHONPATH": str(Path(__file__).parent),
         "OMP_NUM_THREADS": "1",
         "RAY_DISABLE_IMPORT_WARNING": "1",
+        # A token that another program has left would be asked for.
+        "RAY_AUTH_MODE": "disabled",
     }
     with log.open("wb") as file:
         process = subprocess.Popen(command, stdout=file, stderr=file, env=environment, start_new_session=True)
