@@ -280,7 +280,14 @@ def check_points(content: bytes, found: PointScans) -> None:
     at = {name: head.index(name) for name in head}
     time = next(at[name] for name in ("time", "timestamp", "basedatetime", "t") if name in at)
     axes = [at[name] for name in ("x", "y", "z") if name in at]
-    placed = [row for row in rows[1:] if any(row[k].strip(" \t") for k in axes)]
+    names = [at[name] for name in ("id", "label", "track", "target", "mmsi") if name in at][:1]
+    # Of rows that repeat time, position and identity one is kept.
+    kept: dict[tuple[float | str, ...], list[str]] = {}
+    for row in rows[1:]:
+        if any(row[k].strip(" \t") for k in axes):
+            place = (float(row[k]) for k in axes)
+            kept.setdefault((float(row[time]), *place, *(row[k].strip(" \t") for k in names)), row)
+    placed = list(kept.values())
     assert sorted({float(row[time]) for row in rows[1:]}) == found.times.tolist()
     seen = np.repeat(found.times, [len(scan) for scan in found.scans]).tolist()
     places = np.concatenate(found.scans).tolist()
@@ -294,7 +301,6 @@ def check_points(content: bytes, found: PointScans) -> None:
         assert [float(row[at["cov_xy"]]) for row in placed] == upper[:, 0, 1].tolist()
         assert (np.linalg.eigvalsh(upper) > 0.0).all()
     if found.identities is not None:
-        names = [at[name] for name in ("id", "label", "track", "target", "mmsi") if name in at]
         assert [row[names[0]].strip(" \t") for row in placed] == [name for scan in found.identities for name in scan]
 
 
