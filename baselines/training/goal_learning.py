@@ -258,7 +258,9 @@ def goal_report(
         "image moves, so a transition is as good an example for any other goal. At level 2 both are drawn anew and "
         "hidden, and pixels are noisy. The image points that an episode reaches later then depend on what is hidden, "
         "and a relabeled goal discloses it: for such a goal the actions taken were right, whatever they were. That is "
-        "a likely reason why hindsight reaches fewer goals there. Longer training was not compared.\n"
+        "a likely reason why hindsight reaches fewer goals there. Longer training was not compared. The tasks were "
+        "searched for on tune seeds, for goals that are rare and that hindsight helps to reach: with a horizon of 100 "
+        "its lead is smaller, and at thresholds of 0.5 and 1 px neither kind learns.\n"
     )
 
 
