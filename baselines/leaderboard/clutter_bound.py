@@ -17,7 +17,7 @@ from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.seeds import take
 from servotrack.baselines.leaderboard.exact_filter import ENV_ID
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
 from servotrack.envs.streams import episode_seed
@@ -141,9 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         source = f"`scripts/clutter-bound --episodes {given.episodes}`, servotrack {code_version()}"
         note = f"OSPA in m · times the bound; {given.episodes} tune seeds each. Written by {source}."
         text = f"{as_markdown(table(given.agents.split(','), seeds))}\n\n{note}"
-        print(text)
-        if given.write:
-            embed(text, given.write, "clutter-bound")
+        show(text, given.write, "clutter-bound")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.seeds import take
 from servotrack.baselines.evaluation.statistics import paired_difference
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
 
@@ -96,9 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"{as_markdown(grid)}\n\n{given.episodes} tune seeds each ({seeds[0]} to {seeds[-1]}), paired, with 95 % "
             f"bootstrap intervals. Written by {source}."
         )
-        print(text)
-        if given.write:
-            embed(text, given.write, "exact-filter")
+        show(text, given.write, "exact-filter")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.evaluation.bench import run_suite, suite_of
@@ -16,7 +15,7 @@ from servotrack.baselines.evaluation.statistics import bootstrap_mean
 from servotrack.baselines.leaderboard.anchoring import bounds_of, column_of
 from servotrack.baselines.leaderboard.ladder_axes import axes_text
 from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, summarize
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.reporting.terminal import progress_bars
 from servotrack.baselines.running.stopping import program
@@ -148,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(f"--episodes must be at least 2, got {given.episodes}")
     with program("finished episodes are kept; run the same command again"):
         if given.axes:
-            _put(axes_text(given.episodes, given.split), given.write, "servo-axes")
+            show(axes_text(given.episodes, given.split), given.write, "servo-axes")
             return
         cells = []
         for env_id in ENV_IDS:
@@ -159,14 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         source = f"`scripts/servo-ladder --episodes {given.episodes} --split {given.split}`"
         versions = ", ".join(sorted({f"servotrack {cell.provenance['versions']['servotrack']}" for cell in cells}))
         text = ladder_text(cells, given.episodes, f"{source}, episodes by {versions}")
-        _put(text, given.write, "servo-ladder")
-
-
-def _put(text: str, page: Path | None, mark: str) -> None:
-    """Print a text, and put it between the marks of a page if one is given."""
-    Console(soft_wrap=True, highlight=False).print(text, markup=False)
-    if page:
-        embed(text, page, mark)
+        show(text, given.write, "servo-ladder")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from servotrack.baselines.leaderboard.meyer_scene import (
     meyer_scene,
     tracked,
 )
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
 from servotrack.envs.track.clutter.scenarios import SCENARIOS
@@ -240,19 +240,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             parser.error(f"--scenarios must be of {', '.join(METRICS)}, got {name!r}")
     with program("tables of finished scenarios are written; run the same command for the others"):
         seeds = take("test", given.episodes, FIRST)
-        _show(as_markdown(sources()), "scenarios", given.write)
+        show(as_markdown(sources()), given.write, "scenarios")
         for name in chosen:
             grids = [table(name, seeds), *([vo_ma_curves(seeds)] if name == "vo-ma-2006-pair" else [])]
             source = f"`scripts/published-scenarios --episodes {given.episodes} --scenarios {name}`"
             note = f"{given.episodes} test seeds, 95 % bootstrap intervals. Written by {source}, {code_version()}."
-            _show("\n\n".join([*(as_markdown(grid) for grid in grids), note]), f"scenarios-{name}", given.write)
-
-
-def _show(text: str, mark: str, page: Path | None) -> None:
-    """Print a text, and put it between marks of a page."""
-    print(text, flush=True)
-    if page:
-        embed(text, page, mark)
+            show("\n\n".join([*(as_markdown(grid) for grid in grids), note]), given.write, f"scenarios-{name}")
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from stonesoup.updater.kalman import ExtendedKalmanUpdater
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.seeds import take
 from servotrack.baselines.leaderboard.sensor_scenes import SCENES, SceneScan, SensorScene
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
 from servotrack.estimators.metrics import Track, mot_scores, point_distances
@@ -175,9 +175,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"Means of {given.episodes} scenes of {given.scans} scans. "
             f"Written by {source}, servotrack {code_version()}."
         )
-        print(text)
-        if given.write:
-            embed(text, given.write, "stone-soup")
+        show(text, given.write, "stone-soup")
 
 
 if __name__ == "__main__":

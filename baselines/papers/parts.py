@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from joblib import delayed
+from rich.progress import Progress
 
 from servotrack.baselines.evaluation import seeds
 from servotrack.baselines.evaluation.provenance import code_version
@@ -140,3 +141,11 @@ def parts_of_seeds(
         if advance is not None:
             advance()
     return found
+
+
+def shown_parts_of_seeds(
+    progress: Progress, label: str, folder: Path, count: int, compute: Callable[[int], Arrays], **setting: Any
+) -> list[dict[str, Any]]:
+    """Return `parts_of_seeds` with a progress bar of this label; the other arguments and errors are those of it."""
+    bar = progress.add_task(label, total=count)
+    return parts_of_seeds(folder, count, compute, lambda: progress.advance(bar), **setting)

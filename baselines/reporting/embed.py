@@ -29,3 +29,10 @@ def embed(text: str, document: Path, name: str) -> None:
     tail = rest.split(end)[1]
     with atomic_path(document) as temporary:
         temporary.write_text(f"{head}{begin}\n{text.strip()}\n{end}{tail}", encoding="utf-8")
+
+
+def show(text: str, document: Path | None, name: str) -> None:
+    """Print a text, and `embed` it if a document is given; arguments and errors are those of `embed`."""
+    print(text, flush=True)
+    if document is not None:
+        embed(text, document, name)

@@ -17,7 +17,7 @@ from servotrack.baselines.papers.claims import effect_of, paired_effect
 from servotrack.baselines.papers.gm_phd_video.alternatives import UnmaskedBackground, particle_filter
 from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW, find_events, handled, regions_of_people
 from servotrack.baselines.papers.gm_phd_video.experiment import COUNTED_FRAMES, Progressing, count_right
-from servotrack.baselines.papers.parts import Arrays, parts_of_seeds
+from servotrack.baselines.papers.parts import Arrays, shown_parts_of_seeds
 from servotrack.estimators.boxes import BoxSetFilter
 from servotrack.estimators.types import Array
 
@@ -111,9 +111,8 @@ class AlternativesBox:
     """
 
     def __init__(self, folder: Path, progress: Progress, count: int = SEQUENCES) -> None:
-        bar = progress.add_task("box of assumptions", total=count)
         points = box_points(PAPER_NAME, UPDATE_AXES)
-        self._rows = parts_of_seeds(folder, count, _rendered, lambda: progress.advance(bar), points=points)
+        self._rows = shown_parts_of_seeds(progress, "box of assumptions", folder, count, _rendered, points=points)
 
     def _values(self, tracker: str, field: str) -> Array:
         return np.array([row[f"{tracker}|{field}"] for row in self._rows], np.float64)

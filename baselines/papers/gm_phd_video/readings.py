@@ -18,7 +18,7 @@ from servotrack.baselines.papers.claims import mean_effect, paired_effect
 from servotrack.baselines.papers.gm_phd_video.alternatives import with_births, without_pruning
 from servotrack.baselines.papers.gm_phd_video.box import DETECTORS, ONE, PAPER_NAME, SEQUENCES, TWO, event_effects, play
 from servotrack.baselines.papers.gm_phd_video.events import KINDS, WINDOW
-from servotrack.baselines.papers.parts import Arrays, parts_of_seeds
+from servotrack.baselines.papers.parts import Arrays, shown_parts_of_seeds
 from servotrack.estimators.boxes import RawDetections
 from servotrack.estimators.types import Array
 
@@ -69,9 +69,8 @@ class ReadingsBox:
     """
 
     def __init__(self, folder: Path, progress: Progress, count: int = SEQUENCES) -> None:
-        bar = progress.add_task("readings", total=count)
         points = box_points(PAPER_NAME, RUN_AXES)
-        self._rows = parts_of_seeds(folder, count, _rendered, lambda: progress.advance(bar), points=points)
+        self._rows = shown_parts_of_seeds(progress, "readings", folder, count, _rendered, points=points)
 
     def values(self, tracker: str, field: str, merged: Value = TWO) -> Array:
         """Values of a tracker, one per sequence, under a reading of `merged`."""

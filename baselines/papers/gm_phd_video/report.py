@@ -30,7 +30,7 @@ from servotrack.baselines.papers.gm_phd_video.experiment import (
 )
 from servotrack.baselines.papers.gm_phd_video.figures import draw_counts, draw_frames
 from servotrack.baselines.papers.gm_phd_video.pictures import paper_pictures
-from servotrack.baselines.papers.parts import Arrays, part, parts_of_seeds
+from servotrack.baselines.papers.parts import Arrays, part, shown_parts_of_seeds
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.reporting.grid import Grid
@@ -90,10 +90,9 @@ def reproduce(request: Request) -> None:
         request: Request; `runs` is the number of rendered sequences.
     """
     with progress_bars() as progress:
-        bar = progress.add_task("rendered sequences", total=request.runs)
         folder = request.output / PAPER_NAME
-        played = parts_of_seeds(
-            folder, request.runs, _played, lambda: progress.advance(bar), methods=METHODS, events=KINDS
+        played = shown_parts_of_seeds(
+            progress, "rendered sequences", folder, request.runs, _played, methods=METHODS, events=KINDS
         )
         box = AlternativesBox(folder / "box", progress)
         slopes = cost_slopes()

@@ -17,7 +17,7 @@ import numpy as np
 
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.seeds import take
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
 from servotrack.estimators.sonar import Band, BearingTrack, ElementArray, HMMBearings, LineArray, beam_powers
@@ -313,9 +313,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"deg. False tracks: at no target for more than half of their rows, mean per record. Written by {source}."
         )
         text = f"{as_markdown(grid)}\n\n{note}"
-        print(text)
-        if given.write:
-            embed(text, given.write, "sonar-cases")
+        show(text, given.write, "sonar-cases")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from servotrack.baselines.papers.claims import (
     paired_effect,
     ratio_effect,
 )
-from servotrack.baselines.papers.parts import Arrays, part, parts_of_seeds, setting_of
+from servotrack.baselines.papers.parts import Arrays, part, setting_of, shown_parts_of_seeds
 from servotrack.baselines.papers.publish import publish
 from servotrack.baselines.papers.request import Request
 from servotrack.baselines.papers.unscented_jacobian import experiment
@@ -162,14 +162,13 @@ def _audit_runs(folder: Path, progress: Progress) -> dict[str, list[float]]:
     methods: dict[str, JacobianEstimator] = {name: experiment.estimator(name) for name in ALGORITHMS}
     methods[FASTER] = experiment.estimator("KF", 10.0)
     methods |= {name: experiment.estimator(name) for name in ("fixed", "KF without J_t")}
-    bar = progress.add_task("random ellipses", total=AUDITED_EPISODES)
 
     def errors(seed: int) -> Arrays:
         runs = {name: experiment.run(TRACKING, method, seed, RANDOM_ELLIPSES) for name, method in methods.items()}
         return {name: run.transient for name, run in runs.items()}
 
-    rows = parts_of_seeds(
-        folder / "ellipses", AUDITED_EPISODES, errors, lambda: progress.advance(bar), **_values(world=RANDOM_ELLIPSES)
+    rows = shown_parts_of_seeds(
+        progress, "random ellipses", folder / "ellipses", AUDITED_EPISODES, errors, **_values(world=RANDOM_ELLIPSES)
     )
     return {name: [float(row[name]) for row in rows] for name in methods}
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from servotrack.baselines.evaluation.provenance import code_version
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.running.stopping import program
 from servotrack.baselines.training.duel.figures import draw_budgets, draw_profiles
 from servotrack.baselines.training.duel.methods import CLASSICAL, LEARNED, SHIPPED
@@ -52,9 +52,7 @@ def _report(folder: Path, page: Path | None, figures: Path | None) -> None:
     """Print the tables of a folder, and write them into a page and figures where these are given."""
     entries = entries_of(load_rows(folder))
     text = markdown(entries, f"scripts/duel report {folder}", code_version())
-    print(text)
-    if page is not None:
-        embed(text, page, "duel")
+    show(text, page, "duel")
     if figures is not None:
         draw_budgets(entries, figures / "duel-budgets.png")
         draw_profiles(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from servotrack.baselines.evaluation.provenance import code_version
 from servotrack.baselines.evaluation.statistics import bootstrap_mean, paired_difference
-from servotrack.baselines.reporting.embed import embed
+from servotrack.baselines.reporting.embed import show
 from servotrack.baselines.reporting.grid import Grid, as_markdown
 from servotrack.baselines.running.stopping import program
 from servotrack.baselines.training.pointing.experiment import FUTURE, KINDS, MYOPIC, SCENES, Outcome, outcome
@@ -62,9 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             f"\n\n{given.episodes} test seeds; brackets: 95 % intervals; differences paired by seed. Written by "
             f"`scripts/pointed-sensor --episodes {given.episodes}`, servotrack {code_version()}."
         )
-        print(text)
-        if given.write:
-            embed(text, given.write, "pointing")
+        show(text, given.write, "pointing")
 
 
 if __name__ == "__main__":
