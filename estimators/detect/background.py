@@ -10,16 +10,23 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from servotrack.estimators.compilation import njit
 from servotrack.estimators.detect.blobs import REFERENCE_HEIGHT, BlobFinder, Sizes
-from servotrack.estimators.detect.camera_motion import CameraMotion, MotionRules, check_motion, in_doubt, small_copy
+from servotrack.estimators.detect.camera_motion import CameraMotion, MotionRules, check_motion, in_doubt
 from servotrack.estimators.detect.detections import Detections
+from servotrack.estimators.detect.difference import (
+    above,
+    difference_of,
+    drop_shadows,
+    frames_of_same_light,
+    learned,
+    rounded,
+)
 from servotrack.estimators.detect.exposure import ExposureRules, exposure_line
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
 from servotrack.estimators.detect.healing import HealingRules, heal_regions
 from servotrack.estimators.detect.images import checked_image, checked_images
 from servotrack.estimators.detect.runs import clear_removed, label_again, label_runs, measure_runs
-from servotrack.estimators.detect.soft_light import SoftLightRules, is_shadow, trim_soft_light
+from servotrack.estimators.detect.soft_light import SoftLightRules, trim_soft_light
 from servotrack.estimators.detect.stillness import Stillness, StillRules, absorb_still_regions, no_stillness
 from servotrack.estimators.types import Array, FloatArray, Image
 from servotrack.estimators.validation import checked_period
@@ -225,7 +232,7 @@ class MaskedBackground:
         mask = np.zeros((height, width), np.uint8)
         still = no_stillness(height, width) if self.still is not None and self.heal_every else None
         return BackgroundState(
-            first, _rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, 255.0, CameraMotion(), notice
+            first, rounded(first), mask, self.blobs.initial(), 0, 0.0, still, 0.0, 255.0, CameraMotion(), notice
         )
 
     def step(
@@ -246,15 +253,15 @@ class MaskedBackground:
         """
         dt = checked_period(dt, self.frame_rate)
         image = checked_image(frame, shape=state.rounded.shape)
-        difference = self._difference(image, state.rounded)
+        difference = difference_of(image, state.rounded, self.color)
         exposed = self._exposed(state, image, difference)
         if exposed is not state:
-            state, difference = exposed, self._difference(image, exposed.rounded)
+            state, difference = exposed, difference_of(image, exposed.rounded, self.color)
         foreground, threshold = self._foreground(difference, image, state.rounded)
         noise, brightness = self._noise_level(state, difference)
         found = self._regions(difference, foreground, threshold, noise, state.sizes)
         held = found.runs if self.hold == "blobs" else label_runs(foreground)[0]
-        background = _learned(image, state.background, held, np.float32(self.learning_rate))
+        background = learned(image, state.background, held, np.float32(self.learning_rate))
         frames, still = state.frames + 1, state.still
         if still is not None:
             still = Stillness(still.level, still.age, still.passed + dt)
@@ -277,7 +284,7 @@ class MaskedBackground:
         notice = self._notice(motion, flooded, share, dt) or self.blobs.notice(sizes) or self._darkness(brightness)
         return BackgroundState(
             background,
-            _rounded(background),
+            rounded(background),
             found.mask,
             sizes,
             frames,
@@ -301,7 +308,7 @@ class MaskedBackground:
         if gain == 1.0 and offset == 0.0:
             return state
         background = state.background * np.float32(gain) + np.float32(offset)
-        return state._replace(background=background, rounded=_rounded(background))
+        return state._replace(background=background, rounded=rounded(background))
 
     def _motion(self, state: BackgroundState, dt: float, image: Image, share: float, regions: int) -> CameraMotion:
         """Memory of the checks for a moving camera; the first frame is checked, then one in each period."""
@@ -366,7 +373,7 @@ class MaskedBackground:
         mask = mask.copy() if mask is foreground else mask
         if not 0.0 < faint < threshold:
             return self._joined(mask, label_runs(mask), None, None)
-        faint_runs, count = label_runs(self.blobs.clean(_above(difference, faint), typical))
+        faint_runs, count = label_runs(self.blobs.clean(above(difference, faint), typical))
         faint_boxes = measure_runs(faint_runs, count)[0]
         rules = self.faint_rules
         if typical:
@@ -436,17 +443,6 @@ class MaskedBackground:
         clear_removed(mask, found.runs)
         return self._joined(mask, label_again(found.runs), found.faint_runs, found.faint_boxes)
 
-    def _difference(self, image: Image, background: Image) -> Image:
-        """Difference of each pixel to the background, gray levels."""
-        if self.color == "gray" and image.ndim == 3:
-            gray, gray_background = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (image, background))
-            return np.asarray(cv2.absdiff(gray, gray_background), dtype=np.uint8)
-        if image.ndim == 2:
-            return np.asarray(cv2.absdiff(image, background), dtype=np.uint8)
-        difference = np.empty(image.shape[:2], np.uint8)
-        _largest_difference(image.reshape(-1), background.reshape(-1), difference.reshape(-1))
-        return difference
-
     def _foreground(self, difference: Image, image: Image, background: Image) -> tuple[Image, float]:
         """Mask of the pixels that differ (equation 5), and the threshold."""
         if isinstance(self.threshold, str):
@@ -454,77 +450,7 @@ class MaskedBackground:
             threshold = max(found + 1.0, self.least_threshold)
         else:
             threshold = float(self.threshold)
-        mask = _above(difference, threshold)
+        mask = above(difference, threshold)
         if self.shadows and image.ndim == 3:
-            _drop_shadows(mask, image, background, self.soft_light)
+            drop_shadows(mask, image, background, self.soft_light)
         return mask, threshold
-
-
-def frames_of_same_light(frames: list[Image], change: float, share: float, width: int = 64) -> int:
-    """Return the number of first frames without a change of light, at least 1.
-
-    People change less of the picture than a change of light does.
-
-    Args:
-        frames: Frames of one shape, in the order of time.
-        change: Difference of brightness from which a place has changed, gray levels, on small copies without noise.
-        width: Largest width of the small copies, px.
-        share: Share of the places from which the light has changed, not the people.
-    """
-    first = small_copy(frames[0], width)
-    for count, frame in enumerate(frames[1:], 1):
-        difference = np.asarray(cv2.absdiff(small_copy(frame, width), first), dtype=np.uint8)
-        if cv2.countNonZero(_above(difference, change)) > share * difference.size:
-            return count
-    return len(frames)
-
-
-@njit(cache=True, nogil=True)
-def _largest_difference(image, background, difference):  # type: ignore[no-untyped-def]
-    for n in range(difference.size):
-        red, other_red = image[3 * n], background[3 * n]
-        green, other_green = image[3 * n + 1], background[3 * n + 1]
-        blue, other_blue = image[3 * n + 2], background[3 * n + 2]
-        # In uint8 all along, so that the compiler vectorizes this loop.
-        red = np.uint8(max(red, other_red) - min(red, other_red))
-        green = np.uint8(max(green, other_green) - min(green, other_green))
-        blue = np.uint8(max(blue, other_blue) - min(blue, other_blue))
-        difference[n] = max(red, max(green, blue))
-
-
-def _rounded(background: FloatArray) -> Image:
-    return np.asarray(cv2.convertScaleAbs(background), dtype=np.uint8)
-
-
-def _above(difference: Image, threshold: float) -> Image:
-    """Mask of 255 where the difference is at least the threshold; OpenCV tests "greater than" on whole numbers."""
-    return np.asarray(cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
-
-
-def _learned(image: Image, background: FloatArray, held: NDArray[np.int32], rate: np.float32) -> FloatArray:
-    """Return the background after a frame (equation 6); it stays as it was under the runs `held`."""
-    learned, channels = np.empty_like(background), image.shape[2] if image.ndim == 3 else 1
-    _learn(image.reshape(-1), background.reshape(-1), held, image.shape[1], channels, rate, learned.reshape(-1))
-    return learned
-
-
-@njit(cache=True, nogil=True)
-def _learn(image, background, held, width, channels, rate, learned):  # type: ignore[no-untyped-def]
-    # One pass over memory instead of a copy and a masked update. Products of two float32 numbers are exact in double
-    # precision, so that the sum is rounded once, as by a fused multiplication and addition.
-    kept = np.float64(np.float32(1.0) - rate)
-    for n in range(image.size):
-        learned[n] = kept * np.float64(background[n]) + np.float64(rate * np.float32(image[n]))
-    for run in range(len(held)):
-        start = held[run, 0] * width
-        for n in range((start + held[run, 1]) * channels, (start + held[run, 2]) * channels):
-            learned[n] = background[n]
-
-
-@njit(cache=True, nogil=True)
-def _drop_shadows(mask, image, background, rules):  # type: ignore[no-untyped-def]
-    """Remove pixels whose channels are all darker by about the same factor, in place."""
-    for row in range(mask.shape[0]):
-        for column in range(mask.shape[1]):
-            if mask[row, column] and is_shadow(image, background, row, column, column + 1, rules):
-                mask[row, column] = 0
