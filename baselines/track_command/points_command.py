@@ -21,13 +21,9 @@ from servotrack.baselines.reporting.trajectory_files import write_geojson, write
 from servotrack.baselines.running.stopping import undisturbed
 from servotrack.baselines.track_command.claim import claim_folder
 from servotrack.envs.track.files.points import MOST_TRUE_PLACES, PointScans, PointTruth, read_point_truth, read_points
-from servotrack.envs.track.points.point_model import (
-    PointModel,
-    measured_model,
-    scores_cutoff,
-    smoothing_lag,
-    track_points,
-)
+from servotrack.envs.track.points.measured_model import measured_model
+from servotrack.envs.track.points.point_extent import scores_cutoff
+from servotrack.envs.track.points.point_model import PointModel, smoothing_lag, track_points
 from servotrack.estimators.metrics import gospa, ospa, ospa2
 from servotrack.estimators.rfs import Trajectory
 from servotrack.estimators.types import Array

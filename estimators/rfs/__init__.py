@@ -17,7 +17,7 @@ stamps, late ones too.
 """
 
 from servotrack.estimators.rfs.adaptation import SensorAdaptation
-from servotrack.estimators.rfs.birth import Birth, MeasurementBirth, Spawn
+from servotrack.estimators.rfs.birth import Birth, MeasurementBirth
 from servotrack.estimators.rfs.cbmember import GMCBMeMBer
 from servotrack.estimators.rfs.cphd import GMCPHD
 from servotrack.estimators.rfs.gnn import GlobalNearestNeighbor
@@ -54,6 +54,7 @@ from servotrack.estimators.rfs.sensor_models import bearing_sensor, range_bearin
 from servotrack.estimators.rfs.sensors import FunctionSensor, LinearSensor, Places
 from servotrack.estimators.rfs.sets import RowAllocation, SetEstimate, measurements_to_rows, rows_to_tracks
 from servotrack.estimators.rfs.smc_phd import ParticlePHD
+from servotrack.estimators.rfs.spawn import Spawn
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD, Steering
 from servotrack.estimators.rfs.timed import TimedTracker
 from servotrack.estimators.rfs.trajectory import Trajectory, collect_trajectories, track_scans

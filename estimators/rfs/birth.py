@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs.capacity import warn_of_cap
+from servotrack.estimators.rfs.first_state import observation_inverse, sensed_starts, state_from_measurement
 from servotrack.estimators.rfs.models import (
     HiddenMarkovModel,
     PairwiseMarkovModel,
@@ -185,7 +185,7 @@ class MeasurementBirth:
     def _starts(self, model: TargetModel, z: Array, excess: Array | None) -> tuple[Array, Array] | None:
         """Means (batch, Z, c, n) at measurements, and covariances, (1, 1, 1, n, n) if all are the same."""
         if isinstance(model, SensedModel):
-            return _sensed_starts(model, z, self.hidden_deviation, excess)
+            return sensed_starts(model, z, self.hidden_deviation, excess)
         if isinstance(model, RangeBearingModel) or (excess is not None and excess.shape[1] > 0):
             mean, covariance = state_from_measurement(model, z, self.hidden_deviation, excess)
             return mean[:, :, None], covariance[:, :, None]
@@ -196,7 +196,7 @@ class MeasurementBirth:
         if kept is None or not (_equal(kept.observation, H) and _equal(kept.noise, R)):
             # Under a linear model the covariance is the same at every step.
             _, covariance = state_from_measurement(model, np.zeros((1, 1, z.shape[-1])), self.hidden_deviation)
-            kept = _LinearBirth(H, R, _inverse(model), covariance[:, :, None])
+            kept = _LinearBirth(H, R, observation_inverse(model), covariance[:, :, None])
             object.__setattr__(self, "_kept", kept)
         return np.einsum("rk,...k->...r", kept.inverse, z)[:, :, None], kept.covariance
 
@@ -313,151 +313,3 @@ def _move(births, transition, noise, out_mean, out_covariance):  # type: ignore[
                         value += work[r, j] * transition[c, j]
                     out_covariance[b, k, r, c] = value
                     out_covariance[b, k, c, r] = value
-
-
-@dataclass(frozen=True, eq=False)
-class Spawn:
-    """Splitting of targets: N(d + F_beta x, Q_beta + F_beta P F_beta^T) with weight w_beta (Wu and Hu 2010, step 2.2).
-
-    Args:
-        weight: w_beta, expected number of targets split off per target and step, in (0, 1].
-        noise: Q_beta, positive definite. Shape (n, n).
-        transition: F_beta; None for the identity. Shape (n, n).
-        offset: d; None for zero. Shape (n,).
-
-    Raises:
-        ValueError: An argument is out of range or has a wrong shape.
-    """
-
-    weight: float
-    noise: Array
-    transition: Array | None = None
-    offset: Array | None = None
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.weight <= 1.0:
-            raise ValueError(f"weight must be in (0, 1], got {self.weight!r}")
-        n = np.asarray(self.noise).shape[0]
-        noise = np.array(checked_covariance("noise", self.noise, n, definite=True))
-        transition = np.eye(n) if self.transition is None else np.array(self.transition, dtype=np.float64)
-        offset = np.zeros(n) if self.offset is None else np.array(self.offset, dtype=np.float64)
-        if transition.shape != (n, n) or offset.shape != (n,):
-            raise ValueError(
-                f"transition and offset must match noise of shape ({n}, {n}), got {transition.shape}, {offset.shape}"
-            )
-        object.__setattr__(self, "noise", noise)
-        object.__setattr__(self, "transition", transition)
-        object.__setattr__(self, "offset", offset)
-
-
-def pack_spawns(spawns: Sequence[Spawn], n: int) -> tuple[Array, Array, Array, Array]:
-    """Pack spawn terms for the kernels: weights (S,), offsets (S, n), transitions (S, n, n), noises (S, n, n)."""
-    for spawn in spawns:
-        if spawn.noise.shape != (n, n):
-            raise ValueError(f"spawn noise must have shape ({n}, {n}), got {spawn.noise.shape}")
-    terms = len(spawns)
-    return (
-        np.array([s.weight for s in spawns]),
-        np.array([s.offset for s in spawns], dtype=np.float64).reshape(terms, n),
-        np.array([s.transition for s in spawns], dtype=np.float64).reshape(terms, n, n),
-        np.array([s.noise for s in spawns], dtype=np.float64).reshape(terms, n, n),
-    )
-
-
-def state_from_measurement(
-    model: TargetModel, z: Array, hidden_deviation: ArrayLike, excess: Array | None = None
-) -> tuple[Array, Array]:
-    """Distribution of the state given one measurement only.
-
-    Args:
-        model: Model of one target.
-        z: Measurements. Shape (*batch, m).
-        hidden_deviation: Standard deviation of the unmeasured state entries; a number or shape (n,).
-        excess: Noise of each measurement in excess of the sensor's; None or no rows: none. Shape (*batch, m, m).
-
-    Returns:
-        mean (*batch, n), zero in unmeasured entries; covariance (*batch, n, n).
-
-    Raises:
-        ValueError: The sensor does not say where a target with a measurement may be.
-    """
-    if isinstance(model, SensedModel):
-        found = _sensed_starts(model, z, hidden_deviation, excess)
-        if found is None:
-            raise ValueError(
-                "sensor must have places= to start a track from one measurement, got None; or give births at sites"
-            )
-        return _matched(*found)
-    packed, inverse = model.packed, _inverse(model)
-    R = packed.measurement_noise
-    if excess is not None and excess.shape[:-2] == z.shape[:-1]:
-        R = R + excess
-    hidden = _hidden(inverse, packed.observation, hidden_deviation)
-    if isinstance(model, RangeBearingModel):
-        distance, bearing = z[..., 0], z[..., 1]
-        cosine, sine = np.cos(bearing), np.sin(bearing)
-        position = packed.sensor + np.stack([distance * cosine, distance * sine], axis=-1)
-        polar = np.stack(
-            [np.stack([cosine, -distance * sine], axis=-1), np.stack([sine, distance * cosine], axis=-1)], axis=-2
-        )
-        noise = np.einsum("...ij,...jk,...lk->...il", polar, R, polar)
-    else:
-        position = z
-        noise = np.broadcast_to(R, (*z.shape[:-1], *R.shape[-2:]))
-    mean = np.einsum("rk,...k->...r", inverse, position)
-    return mean, hidden + np.einsum("rk,...kl,cl->...rc", inverse, noise, inverse)
-
-
-def _sensed_starts(
-    model: SensedModel, z: Array, hidden_deviation: ArrayLike, excess: Array | None
-) -> tuple[Array, Array] | None:
-    """Gaussians (*batch, c, n), (*batch, c, n, n) of the state given one measurement, or None."""
-    flat = z.reshape(-1, z.shape[-1])
-    found = model.places(flat)
-    if found is None:
-        return None
-    if excess is not None and excess.shape[:-2] == z.shape[:-1]:
-        found = found._replace(covariance=found.covariance + _excess_at_places(model, flat, excess))
-    inverse = np.eye(model.transition.shape[0])[:, list(model.sensor.position)]
-    mean = np.einsum("rk,zck->zcr", inverse, found.mean)
-    spread = np.einsum("rk,zckl,sl->zcrs", inverse, found.covariance, inverse)
-    covariance = spread + _hidden(inverse, inverse.T, hidden_deviation)
-    batch = z.shape[:-1]
-    return mean.reshape(*batch, *mean.shape[1:]), covariance.reshape(*batch, *covariance.shape[1:])
-
-
-def _excess_at_places(model: SensedModel, z: Array, excess: Array) -> Array:
-    """Covariance that the excess noise of measurements adds to their places, to first order. Shape (k, c, d, d).
-
-    The sensor made the places for its own noise. Where a measurement is more exact than that nothing is subtracted:
-    a part of the covariance may not come from the noise.
-    """
-    values, vectors = np.linalg.eigh(excess.reshape(len(z), *excess.shape[-2:]))
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    added: Array | float = 0.0
-    for k in range(z.shape[1]):
-        after, before = model.places(z + roots[:, :, k]), model.places(z - roots[:, :, k])
-        if after is not None and before is not None:
-            half = 0.5 * (after.mean - before.mean)
-            added = added + half[..., :, None] * half[..., None, :]
-    return np.asarray(added, dtype=np.float64)
-
-
-def _matched(mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """One Gaussian with the moments of c equally probable ones."""
-    center = mean.mean(axis=-2)
-    spread = mean - center[..., None, :]
-    return center, (covariance + spread[..., :, None] * spread[..., None, :]).mean(axis=-3)
-
-
-def _hidden(inverse: Array, observation: Array, deviation: ArrayLike) -> Array:
-    """Covariance of the state entries that a measurement leaves open. Shape (n, n)."""
-    n = len(inverse)
-    blind = np.eye(n) - inverse @ observation
-    spread = np.broadcast_to(np.asarray(deviation, dtype=np.float64), (n,))
-    return blind @ np.diag(spread**2) @ blind.T
-
-
-def _inverse(model: TargetModel) -> Array:
-    """Pseudoinverse of the observation: from a measurement to the measured state entries. Shape (n, m)."""
-    return np.asarray(np.linalg.pinv(model.packed.observation), dtype=np.float64)

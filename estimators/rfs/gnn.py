@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.rfs.birth import state_from_measurement
 from servotrack.estimators.rfs.capacity import warn_of_cap
+from servotrack.estimators.rfs.first_state import state_from_measurement
 from servotrack.estimators.rfs.gaussians import detected_mean, weigh_pairs
 from servotrack.estimators.rfs.matching import most_likely_pairs
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, predict_components

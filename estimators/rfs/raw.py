@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from servotrack.estimators.rfs.birth import state_from_measurement
+from servotrack.estimators.rfs.first_state import state_from_measurement
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.sets import (
     Extraction,

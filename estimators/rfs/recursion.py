@@ -13,14 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from servotrack.estimators.elementary import power
-from servotrack.estimators.rfs.birth import (
-    Birth,
-    BirthMixture,
-    MeasurementBirth,
-    Spawn,
-    joined_births,
-    pack_spawns,
-)
+from servotrack.estimators.rfs.birth import Birth, BirthMixture, MeasurementBirth, joined_births
 from servotrack.estimators.rfs.extraction import RULES, Rule
 from servotrack.estimators.rfs.mixed_births import Births, join_births
 from servotrack.estimators.rfs.mixture import Mixture
@@ -36,6 +29,7 @@ from servotrack.estimators.rfs.sets import (
     estimate_from_extraction,
     read_measurements,
 )
+from servotrack.estimators.rfs.spawn import Spawn, pack_spawns
 from servotrack.estimators.stateful import add_axis, first_row
 from servotrack.estimators.types import Array, Labels
 from servotrack.estimators.validation import LARGEST_NUMBER, SMALLEST_NUMBER, as_numbers, check_count, checked_number

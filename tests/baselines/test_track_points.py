@@ -15,7 +15,8 @@ from servotrack.__main__ import app
 from servotrack.baselines.reporting.trajectory_files import read_trajectories
 from servotrack.envs.track.files.points import GeographicOrigin, PointScans, read_point_truth, read_points
 from servotrack.envs.track.files.recorded import SequenceError
-from servotrack.envs.track.points.point_model import measured_model, track_points
+from servotrack.envs.track.points.measured_model import measured_model
+from servotrack.envs.track.points.point_model import track_points
 
 GOOD = "time,x,y\n0,0,0\n0,5,5\n1,1,0\n2,,\n3,3,0\n"
 

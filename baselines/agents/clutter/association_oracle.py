@@ -10,7 +10,7 @@ import numpy as np
 
 from servotrack.envs.wrappers import OBSERVATION_KEY
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.rfs.birth import state_from_measurement
+from servotrack.estimators.rfs.first_state import state_from_measurement
 from servotrack.estimators.rfs.gaussians import condition_gaussian, detected_mean, predict_gaussian
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.sets import SetEstimate

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.envs.track.clutter.config import ClutterConfig
-from servotrack.estimators.rfs.birth import Spawn
 from servotrack.estimators.rfs.models import (
     HiddenMarkovModel,
     PairwiseMarkovModel,
     RangeBearingModel,
     constant_velocity,
 )
+from servotrack.estimators.rfs.spawn import Spawn
 from servotrack.estimators.types import Array
 
 Model = HiddenMarkovModel | PairwiseMarkovModel | RangeBearingModel

@@ -21,7 +21,7 @@ from servotrack.envs.track.files.points import (
     read_points,
 )
 from servotrack.envs.track.files.recorded import SequenceError
-from servotrack.envs.track.points.point_model import region_of, scores_cutoff
+from servotrack.envs.track.points.point_extent import region_of, scores_cutoff
 from servotrack.estimators.metrics import point_distances
 from servotrack.estimators.types import Array, Labels, Mask
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from servotrack.envs.track.clutter.scene_model import SceneModel
-from servotrack.envs.track.points.point_model import LEAST_EXISTENCE, birth_place, measured_model, motion_of
+from servotrack.envs.track.points.measured_model import measured_model
+from servotrack.envs.track.points.point_model import LEAST_EXISTENCE, birth_place, motion_of
 from servotrack.envs.track.points.recording import PointRecording
 
 
