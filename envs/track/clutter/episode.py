@@ -76,7 +76,7 @@ def draw_episode(config: ClutterConfig, seed: int) -> ClutterEpisode:
             path = _draw_path(config, streams, target, starts[target], root, life)
         else:
             path = _path_through_middle(config, streams, target, root)[life]
-        if not config.draws_lives:
+        if not config.draws_lives and any(config.published.targets[target].acceleration):
             _accelerate(path, config.published.targets[target].acceleration, config.period)
         life = slice(life.start, life.start + len(path))
         exists[life, target] = True
