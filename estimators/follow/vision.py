@@ -108,8 +108,9 @@ class PeopleFromAbove:
         floor = brightness >= self.unlit
         if not floor.any():
             return found
-        # A coarse grid of pixels suffices for the median.
-        hue = np.median(smooth[1::3, 1::3][floor[1::3, 1::3]], axis=0)
+        # A coarse grid of pixels suffices for the median, unless all that is lit lies between its points.
+        coarse = np.s_[1::3, 1::3] if floor[1::3, 1::3].any() else np.s_[:, :]
+        hue = np.median(smooth[coarse][floor[coarse]], axis=0)
         window = max(3, int(self.surroundings * side) | 1)
         weight = floor.astype(np.float32)
         around = cv2.blur(brightness * weight, (window, window)) / np.maximum(cv2.blur(weight, (window, window)), 1e-3)

@@ -57,7 +57,9 @@ class JointSmoother:
             return None
         level = np.median((self.rows - self.explained()) / self.background, axis=1) + 1.0
         typical = float(np.median(level[used]))
-        if abs(typical - 1.0) <= rules.level_tolerance:
+        # Chains that explain all power up to rounding leave no noise whose level could be measured.
+        rounding = float(np.finfo(np.float64).eps * np.abs(self.rows).max())
+        if abs(typical - 1.0) <= rules.level_tolerance or typical <= rounding:
             return None
         level = np.where(self.missing, typical, np.maximum(level, 0.5 * min(typical, 1.0)))
         self.rows = self.rows / level[:, None]

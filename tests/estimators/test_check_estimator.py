@@ -30,7 +30,13 @@ FUZZED_SEED = int(os.environ.get("SERVOTRACK_FUZZED_SEED", "1"))
 FUZZED_SECONDS = float(os.environ.get("SERVOTRACK_FUZZED_SECONDS", "inf"))
 """Time limit of the slow fuzzer for each estimator, s."""
 
-FOUND = [("parametric-ukf", 4, 50), ("controller-damped", 8, 50), ("parametric-ukf", 100000, 200)]
+FOUND = [
+    ("parametric-ukf", 4, 50),
+    ("controller-damped", 8, 50),
+    ("parametric-ukf", 100000, 200),
+    ("people-from-above", 5000012, 1),
+    ("sonar-row", 5000030, 1),
+]
 """Estimators, seeds and rows at which the slow fuzzer found a fault that was mended."""
 
 
