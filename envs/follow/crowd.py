@@ -11,6 +11,7 @@ import numpy as np
 
 from servotrack.envs.follow.config import FollowConfig
 from servotrack.envs.follow.streams import FollowStream
+from servotrack.envs.servo.layout import starts_in_view
 from servotrack.envs.servo.targets import LEAD, PERIOD, reachable_place, solvable
 from servotrack.envs.streams import draw_share, draw_uniform, start_stream
 from servotrack.envs.track.pedestrians.movement import gait
@@ -75,6 +76,7 @@ class CrowdRanges(NamedTuple):
         crosses: Share of the others' legs that cross the person's path.
         rests: True if legs end with a rest now and then.
         max_joint_rate: Largest joint rate of the arm, rad/s.
+        camera_size: Width and height of the camera's image, px.
         first: First sample at which the arm must be able to follow.
     """
 
@@ -84,6 +86,7 @@ class CrowdRanges(NamedTuple):
     crosses: float
     rests: bool
     max_joint_rate: float
+    camera_size: float
     first: int
 
 
@@ -96,6 +99,7 @@ def crowd_ranges_of(config: FollowConfig) -> CrowdRanges:
         crosses=1.0 if config.script == "crossings" else _CROSSING_SHARE,
         rests=config.script == "plaza",
         max_joint_rate=config.max_joint_rate,
+        camera_size=float(config.camera_size),
         first=LEAD + config.warmup,
     )
 
@@ -110,13 +114,14 @@ def start_crowd_streams(seed):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def draw_paths(ranges, states, links, count):  # type: ignore[no-untyped-def]
-    """Draw the waypoints of all people and simulate them until the person to follow leaves the arm's workspace.
+def draw_paths(ranges, states, arm, count):  # type: ignore[no-untyped-def]
+    """Draw the waypoints of all people and simulate them while the arm can follow the first one.
 
     Args:
         ranges: Ranges, `CrowdRanges`.
         states: Streams of the person to follow and of the others, (2, 4).
-        links: Link lengths. The person to follow walks only where the arm can reach. Shape (2,), m.
+        arm: Links, camera and goal, a record of `CONSTANTS`. The person to follow starts in view, and walks only where
+            the arm can reach.
         count: Number of samples K.
 
     Returns:
@@ -124,6 +129,7 @@ def draw_paths(ranges, states, links, count):  # type: ignore[no-untyped-def]
             drawn again.
     """
     people, party, state, others = ranges.people, np.arange(ranges.people), states[0], states[1]
+    links = arm.links
     pace, starts = np.empty(people), np.empty((people, 2))
     for i in range(people):
         pace[i] = draw_uniform(state, ranges.pace[0], ranges.pace[1])
@@ -164,7 +170,7 @@ def draw_paths(ranges, states, links, count):  # type: ignore[no-untyped-def]
             wander[i, column] = draw_uniform(others, low, high)
     paths = np.zeros((count, people, 4))
     _simulate(
-        starts, legs, number, pace, wander, party, PERIOD, ranges.first, links, ranges.max_joint_rate, paths,
+        starts, legs, number, pace, wander, party, PERIOD, ranges.first, arm, ranges, paths,
     )  # fmt: skip
     return paths
 
@@ -325,13 +331,15 @@ def _meeting(x, y, sample, nominal, pace):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _simulate(  # type: ignore[no-untyped-def]
-    starts, legs, number, pace, wander, party, dt, first, links, max_joint_rate, paths
+    starts, legs, number, pace, wander, party, dt, first, arm, ranges, paths
 ):
     """Simulate all people through all samples, as long as the arm can follow the first one from sample `first` on.
 
+    They also stop where the first one is not in view when the arm starts.
+
     Bodies that overlap are pushed apart.
     """
-    people = starts.shape[0]
+    people, links = starts.shape[0], arm.links
     active = np.arange(people)
     position, velocity = starts.copy(), np.zeros((people, 2))
     plans = Plans(legs, number, pace, wander, party)
@@ -350,7 +358,9 @@ def _simulate(  # type: ignore[no-untyped-def]
     for sample in range(paths.shape[0]):
         for i in range(people):
             paths[sample, i, 0], paths[sample, i, 1] = position[i, 0], position[i, 1]
-        if not solvable(paths[max(sample - 1, first) : sample + 1, 0], links[0], links[1], max_joint_rate):
+        if not solvable(paths[max(sample - 1, first) : sample + 1, 0], links[0], links[1], ranges.max_joint_rate):
+            return
+        if sample == LEAD and not starts_in_view(arm, ranges.camera_size, position[0, 0], position[0, 1]):
             return
         drive(active, position, velocity, plans, progress, walls, nothing, sample, dt)
         for i in range(people):

@@ -41,9 +41,9 @@ def draw_follow_episode(config: FollowConfig, seed: int) -> FollowEpisode:
     """
     ranges, states, drawn = crowd_ranges_of(config), start_crowd_streams(seed), np.zeros((0, config.people, 4))
 
-    def motion(_: Streams, links: Array) -> Array:
+    def motion(_: Streams, arm: np.void) -> Array:
         nonlocal drawn
-        drawn = draw_paths(ranges, states, links, samples(config))
+        drawn = draw_paths(ranges, states, arm, samples(config))
         return drawn[:, 0]
 
     servo = draw_episode(config, seed, motion)

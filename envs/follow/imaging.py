@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -19,6 +20,7 @@ from servotrack.envs.servo.records import RING
 from servotrack.envs.servo.targets import LEAD, START
 from servotrack.envs.track.pedestrians.outfits import OUTFIT_NUMBERS
 from servotrack.estimators.camera import project
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, Mask
 
 PATCH_SIZE = 32
@@ -172,14 +174,22 @@ def target_patches(world: FollowWorld, rows: Iterable[int], image_noise: float) 
 
 def _close_up(episode: FollowEpisode, frame: int) -> tuple[Array, float]:
     """The camera shifted so that its image begins at the patch's corner, and its pixels per pixel of the patch."""
-    x, y = episode.crowd.paths[frame, 0, :2].tolist()
-    half, (l1, l2), (theta1, theta2) = 0.5 * PATCH_SIDE, episode.links, START
-    around = [(x, y), (x + half, y), (x, y + half), (x - half, y), (x, y - half)]
-    pixels = np.array([project(episode.camera, l1, l2, theta1, theta2, px, py)[:2] for px, py in around])
-    side = 2.0 * float(np.hypot(*(pixels[1:] - pixels[0]).T).mean())
     camera = episode.camera.copy()
-    camera[2:4] -= pixels[0] - 0.5 * side
-    return camera, side / PATCH_SIZE
+    return camera, _approach(camera, episode.links, episode.crowd.paths[frame, 0]) / PATCH_SIZE
+
+
+@njit(cache=True, nogil=True)
+def _approach(camera, links, person):  # type: ignore[no-untyped-def]
+    """Shift a packed camera so that its image begins at a corner of a person's patch; returns the patch's side, px."""
+    (theta1, theta2), half, side = START, 0.5 * PATCH_SIDE, 0.0
+    u, v, _ = project(camera, links[0], links[1], theta1, theta2, person[0], person[1])
+    for dx, dy in ((half, 0.0), (0.0, half), (-half, 0.0), (0.0, -half)):
+        a, b, _ = project(camera, links[0], links[1], theta1, theta2, person[0] + dx, person[1] + dy)
+        side += math.hypot(a - u, b - v)
+    side = 2.0 * (side / 4.0)
+    camera[2] -= u - 0.5 * side
+    camera[3] -= v - 0.5 * side
+    return side
 
 
 def _floor(seed: int) -> tuple[Array, Array]:

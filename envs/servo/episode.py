@@ -78,8 +78,8 @@ def sample_times(config: ServoConfig) -> Array:
     return (np.arange(samples(config), dtype=np.float64) - LEAD - config.warmup) * PERIOD
 
 
-Motion = Callable[[Streams, Array], Array]
-"""Function that draws a target's path (K, 4) for an arm with these links."""
+Motion = Callable[[Streams, np.void], Array]
+"""Function that draws a target's path (K, 4) for an arm and its camera, a record of `CONSTANTS`."""
 
 
 def draw_episode(config: ServoConfig, seed: int, motion: Motion | None = None) -> Episode:
@@ -128,7 +128,7 @@ _FIRST = np.zeros(1, np.int64)
 
 def _waypoints(config: ServoConfig) -> Motion:
     times = sample_times(config)
-    return lambda streams, links: draw_waypoints(config, streams[Stream.TARGET], links, times)
+    return lambda streams, arm: draw_waypoints(config, streams[Stream.TARGET], arm["links"], times)
 
 
 def _draw_moving_layout(
@@ -138,7 +138,7 @@ def _draw_moving_layout(
     ranges, states = ranges_of(config), start_streams(streams.seed)
     for _ in range(MAX_DRAWS):
         draw_arm(ranges, states, constants[0])
-        paths[0] = motion(streams, constants["links"][0])
+        paths[0] = motion(streams, constants[0])
         if accepted(ranges, constants[0], paths[0]):
             return
     raise no_layout(config)

@@ -22,7 +22,8 @@ from servotrack.envs.servo.streams import Stream
 from servotrack.envs.servo.targets import LEAD
 from servotrack.envs.servo.world import ServoWorld
 from servotrack.envs.state import State, put, taken
-from servotrack.envs.streams import Streams
+from servotrack.envs.streams import Streams, draw_share, draw_uniform, start_stream
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array, FloatArray, Labels, Mask
 
 
@@ -128,11 +129,21 @@ def no_rays(count: int, image_size: int) -> Rays:
 
 def floor_of(seed: int) -> tuple[Array, Array]:
     """Pose of the floor of a seed (cos, sin, shift in tiles; (4,)) and its color at brightness 1 (3,)."""
-    rng = Streams(seed)[Stream.FLOOR]
-    angle, brightness, warmth = rng.uniform((0.0, 105.0, -0.06), (2.0 * math.pi, 165.0, 0.08))
-    shift = rng.uniform(0.0, 1.0, 2)
-    color = brightness * (1.0 + warmth * np.array([1.0, 0.4, -1.0]))
-    return np.array([math.cos(angle), math.sin(angle), *shift]), color
+    pose, color = np.empty(4), np.empty(3)
+    _draw_floor(seed, pose, color)
+    return pose, color
+
+
+@njit(cache=True, nogil=True)
+def _draw_floor(seed, pose, color):  # type: ignore[no-untyped-def]
+    state = np.empty(4, np.uint64)
+    start_stream(seed, Stream.FLOOR.value, state)
+    angle = draw_uniform(state, 0.0, 2.0 * math.pi)
+    brightness, warmth = draw_uniform(state, 105.0, 165.0), draw_uniform(state, -0.06, 0.08)
+    pose[0], pose[1] = math.cos(angle), math.sin(angle)
+    pose[2], pose[3] = draw_share(state), draw_share(state)
+    for channel, share in enumerate((1.0, 0.4, -1.0)):
+        color[channel] = brightness * (1.0 + warmth * share)
 
 
 def noise_offsets(seed: int, length: int) -> Labels:

@@ -131,10 +131,16 @@ def draw_arm(ranges, states, constants):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def accepted(ranges, constants, path):  # type: ignore[no-untyped-def]
     """Return True if the arm can follow a path, and its camera sees the target and the goal at the start."""
-    l1, l2, size = constants.links[0], constants.links[1], ranges.camera_size
-    if not solvable(path[LEAD + ranges.warmup :], l1, l2, ranges.max_joint_rate):
-        return False
-    u, v, seen = project(constants.camera, l1, l2, START[0], START[1], path[LEAD, 0], path[LEAD, 1])
+    links = constants.links
+    return solvable(path[LEAD + ranges.warmup :], links[0], links[1], ranges.max_joint_rate) and starts_in_view(
+        constants, ranges.camera_size, path[LEAD, 0], path[LEAD, 1]
+    )
+
+
+@njit(cache=True, nogil=True)
+def starts_in_view(constants, size, x, y):  # type: ignore[no-untyped-def]
+    """Return True if the camera, at the arm's start, sees a target at (x, y) m and the goal in images of `size` px."""
+    u, v, seen = project(constants.camera, constants.links[0], constants.links[1], START[0], START[1], x, y)
     # With a goal outside the image, the agent would have to steer the target out of view.
     gu, gv, before_fold = project_ground(constants.camera, 0.0, 0.0)
     return seen and before_fold and 0 <= u < size and 0 <= v < size and 0 <= gu < size and 0 <= gv < size

@@ -7,6 +7,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import numpy as np
+
+from servotrack.estimators.types import Array
+
 
 class Threads:
     """Threads that share a range of indices. Results do not depend on their number. Copies start their own.
@@ -19,19 +23,20 @@ class Threads:
         self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
-    def share(self, work: Callable[[int, int], Any], total: int, least: int = 1) -> None:
+    def share(self, work: Callable[[int, int], Any], total: int, least: int = 1, costs: Array | None = None) -> None:
         """Call work(first, last) for parts of the range from 0 to before `total`, at most one part per thread.
 
         Args:
             work: Function of the first index of a part and the one after its last.
             total: Number of indices.
             least: Number of indices that pays for a part of its own.
+            costs: Expected time of each index in any unit, positive, (total,); None for equal ones.
         """
         parts = min(self.count, total // least)
         if parts <= 1:
             work(0, total)
             return
-        bounds = [total * part // parts for part in range(parts + 1)]
+        bounds = _bounds(np.ones(total) if costs is None else costs, parts)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.count - 1, thread_name_prefix="servotrack")
         (first, last), *others = itertools.pairwise(bounds)
@@ -43,3 +48,10 @@ class Threads:
     def __getstate__(self) -> dict[str, Any]:
         """Return the number of threads; the threads themselves cannot be copied."""
         return {"count": self.count, "_pool": None}
+
+
+def _bounds(costs: Array, parts: int) -> list[int]:
+    """Divide indices into runs of nearly equal cost; returns where each begins, and the end. Length parts + 1."""
+    before = np.concatenate([[0.0], np.cumsum(costs)])
+    inner = np.searchsorted(before, before[-1] * np.arange(1, parts) / parts - 0.5 * costs.mean())
+    return [0, *inner.tolist(), len(costs)]

@@ -27,6 +27,8 @@ LOST_SAMPLES = 20
 """An episode ends after this many consecutive samples with the target out of view."""
 _LEAST_EPISODES = 4
 """Least number of episodes that a thread draws."""
+_STEPS_PER_BEGINNING = 25.0
+"""Time to draw and begin an episode, in steps of one arm."""
 _NO_ROWS = np.zeros(0, np.int64)
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
@@ -287,7 +289,8 @@ class ServoWorld:
                     # A thread restarts the arms of its own blocks.
                     beginning(*np.searchsorted(ended, (first * LANES, last * LANES)).tolist())
 
-                self._threads.share(work, len(arms.blocks))
+                beginnings = np.bincount(ended // LANES, minlength=len(arms.blocks)).astype(np.float64)
+                self._threads.share(work, len(arms.blocks), costs=LANES + _STEPS_PER_BEGINNING * beginnings)
                 self._note_begun(ended, seeds)
                 rows = rows.copy()
                 rows[ended] = True
