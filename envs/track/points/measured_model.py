@@ -32,6 +32,10 @@ _WINDOWS = (1, 2, 4, 8, 16, 30)
 """Numbers of scans in which the next measurement of a target is searched."""
 _SPEEDS = (1e-6, 10.0)
 """Least and largest speed in sides of the region per scan."""
+_EQUAL = 1e-3
+"""Difference of log-likelihoods that decides nothing."""
+_STRAY = 0.01
+"""Probability that a measurement of a track belongs to another target."""
 _FIRST_SHARE = 0.1
 """Share of the scans whose new tracks are targets that were there before."""
 
@@ -78,15 +82,14 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     count = sum(map(len, points.scans)) / len(points.scans)
     # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
     searched = {window: _chains(points, low, high, window) for window in _WINDOWS if window < len(points.scans)}
-    window = max(searched, key=lambda one: len(searched[one]))
-    chains = searched[window]
+    chains = max(searched.values(), key=len)
     notes = []
     if len(chains):
-        bends, speeds = chains[:, 0], chains[:, 1]
+        bends, speeds, gaps = chains.T
         noise = max(float(np.median(bends)) / 0.6745, 1e-6 * side)
         speed = _bounded_speed(points, float(np.sqrt(np.mean(speeds**2))))
     else:
-        noise, speed = 1e-3 * side, 1e-2 * side / period
+        noise, speed, gaps = 1e-3 * side, 1e-2 * side / period, np.ones(1)
         notes.append(
             "no three measurements in a row lie close enough together: the first guess is of the region's size"
         )
@@ -94,6 +97,8 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
         covariances = np.concatenate([scan for scan in points.covariances if len(scan)])
         noise = float(np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)) / points.dimensions))
         noise = max(noise, LEAST_NOISE * side)
+    # A target that is detected in every third scan leaves gaps of three scans.
+    gap = float(np.mean(gaps))
     return (
         PointModel(
             period=period,
@@ -101,10 +106,10 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
             high=high,
             process_noise=noise / period**1.5,
             measurement_noise=None if points.covariances is not None else noise,
-            detection=0.9 / window,
+            detection=0.9 / gap,
             clutter_rate=max(0.3 * count, 0.01),
             births=0.1,
-            survival=0.99 ** (1.0 / window),
+            survival=0.99 ** (1.0 / gap),
             speed=speed,
         ),
         notes,
@@ -112,11 +117,15 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
 
 
 def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
-    """Departure from a straight line per coordinate, in measurement errors, and speed, of chains of three. (k, 2)."""
+    """Chains of three: departure from a straight line, in measurement errors, speed, and scans per step. (k, 3).
+
+    A row for each coordinate of each chain.
+    """
     d = points.dimensions
     size = [len(scan) for scan in points.scans]
     start = np.concatenate([[0], np.cumsum(size)])
     place, time = np.concatenate(points.scans), np.repeat(points.times, size)
+    scan = np.repeat(np.arange(len(size)), size)
     density = len(place) / len(size) * window / float(np.prod(high - low))
     # Volume of a ball in which a neighbor by chance has the probability _CHANCE.
     ball = {1: 2.0, 2: math.pi, 3: 4.0 * math.pi / 3.0}[d]
@@ -139,8 +148,9 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
         ratio = second / first
         bend = (place[last] - place[j] - ratio * (place[j] - place[i])) / math.sqrt(1.0 + (1.0 + ratio) ** 2 + ratio**2)
         velocity = (place[last] - place[i]) / (first + second)
-        found += [(abs(a), v) for a, v in zip(bend, velocity, strict=True)]
-    return np.array(found).reshape(-1, 2)
+        gap = 0.5 * (scan[last] - scan[i])
+        found += [(abs(a), v, gap) for a, v in zip(bend, velocity, strict=True)]
+    return np.array(found).reshape(-1, 3)
 
 
 def _counted(points: PointScans, model: PointModel) -> PointModel | None:
@@ -175,8 +185,11 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
     # The first and the last scan of a track are detections, since tracks are made of them.
     inside = sum(max(len(one) - 2, 0) for one in trajectories)
     detected = sum(max(len(sequence) - 2, 0) for sequence in own)
-    alive = sum(len(one) for one in trajectories)
-    late = sum(one.times[0] > points.times[int(_FIRST_SHARE * scans)] for one in trajectories)
+    # Per interval, not per scan: sensors that follow one another closely do not make targets die sooner.
+    alive = sum(float(one.times[-1] - one.times[0]) / model.period + 1.0 for one in trajectories)
+    begin = float(points.times[int(_FIRST_SHARE * scans)])
+    watched = max((float(points.times[-1]) - begin) / model.period, 1.0)
+    late = sum(one.times[0] > begin for one in trajectories)
     deaths = sum(one.times[-1] < points.times[-1] for one in trajectories)
     size = np.array([len(sequence) for sequence in long])
     process, measurement = _most_likely(
@@ -192,7 +205,7 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
         measurement_noise=None if model.measurement_noise is None else max(measurement, LEAST_NOISE * side_of(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
         clutter_rate=max((sum(map(len, points.scans)) - taken) / scans, 0.01),
-        births=float(np.clip((late + 0.5) / ((1.0 - _FIRST_SHARE) * scans), 1e-3, 10.0)),
+        births=float(np.clip((late + 0.5) / watched, 1e-3, 10.0)),
         survival=float(np.clip(1.0 - (deaths + 0.5) / (alive + 1.0), 0.5, 0.9999)),
         speed=_bounded_speed(points, float(np.sqrt(np.mean(velocities**2)))),
     )
@@ -210,18 +223,23 @@ def _most_likely(times: Array, places: Array, start: Array, model: PointModel, n
     for width, step in ((6.0, 2.0), (2.0, 0.5), (0.5, 0.125)):
         factors = np.arange(-width, width + 0.5 * step, step)
         center, most = best, -np.inf
-        for a in factors:
-            for b in (0.0,) if fixed else factors:
+        # Where the likelihood does not change any more, rounding must not choose: the larger noise stays.
+        for a in factors[::-1]:
+            for b in (0.0,) if fixed else factors[::-1]:
                 trial = center + np.array([a, b])
                 value = _log_likelihood(times, places, start, 2.0 ** trial[0], 2.0 ** trial[1], model.speed)
-                if value > most:
+                if value > most + _EQUAL:
                     best, most = trial, value
     return float(2.0 ** best[0]), float(2.0 ** best[1])
 
 
 @njit(cache=True, nogil=True)
 def _log_likelihood(times, places, start, process, noise, speed):  # type: ignore[no-untyped-def]
-    """Log-likelihood of measurement sequences under nearly constant velocity, axis by axis."""
+    """Log-likelihood of measurement sequences under nearly constant velocity, axis by axis.
+
+    A measurement is an outlier with the probability `_STRAY`, with the density of Cauchy on the scale of the prediction:
+    one that belongs to another target must not pass for noise. After two in a row the sequence begins anew.
+    """
     total = 0.0
     R = noise * noise
     for sequence in range(start.shape[0] - 1):
@@ -229,6 +247,7 @@ def _log_likelihood(times, places, start, process, noise, speed):  # type: ignor
             first = start[sequence]
             x, v = places[first, axis], 0.0
             a, b, c = R, 0.0, speed * speed
+            strays = 0
             for k in range(first + 1, start[sequence + 1]):
                 t = times[k] - times[k - 1]
                 x += t * v
@@ -237,7 +256,17 @@ def _log_likelihood(times, places, start, process, noise, speed):  # type: ignor
                 c += process * process * t
                 S = a + R
                 error = places[k, axis] - x
-                total -= 0.5 * (math.log(2.0 * math.pi * S) + error * error / S)
+                square = error * error / S
+                own = (1.0 - _STRAY) * math.exp(-0.5 * square) / math.sqrt(2.0 * math.pi)
+                other = _STRAY / (math.pi * (1.0 + square))
+                total += math.log(own + other) - 0.5 * math.log(S)
+                if other > own:
+                    strays += 1
+                    if strays == 2:
+                        x, v = places[k, axis], 0.0
+                        a, b, c, strays = R, 0.0, speed * speed, 0
+                    continue
+                strays = 0
                 x += a / S * error
                 v += b / S * error
                 c -= b * b / S
