@@ -9,6 +9,7 @@ computed in units of the points' own, so that nanometers serve as well as nautic
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -19,7 +20,8 @@ from servotrack.envs.track.files.points import PointScans
 from servotrack.envs.track.points.point_extent import check_scales, outlier_notes, period_of, region_of, side_of
 from servotrack.envs.track.points.point_model import LEAST_NOISE, PointModel, Units, position_noise, tracked
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.types import Array
+from servotrack.estimators.rfs import Trajectory
+from servotrack.estimators.types import Array, Labels
 
 _ROUNDS = 3
 _FITTED_SCANS = 300
@@ -36,6 +38,12 @@ _EQUAL = 1e-3
 """Difference of log-likelihoods that decides nothing."""
 _STRAY = 0.01
 """Probability that a measurement of a track belongs to another target."""
+_LEAST_LENGTH = 4
+"""Measurements of a track from which it is used."""
+_MANEUVER, _AGILITIES, _MORE_AGILE = 0.05, (5.0, 20.0, 80.0), (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Probability of a maneuver in one period, and factors on its process noise that are tried first, and then."""
+_EVIDENCE = 10.0
+"""Log-likelihood by which maneuvers must explain the tracks better."""
 _FIRST_SHARE = 0.1
 """Share of the scans whose new tracks are targets that were there before."""
 
@@ -70,6 +78,8 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
             notes.append("no track of four measurements was found: noise and rates are guesses")
             break
         model = found
+    else:
+        model = _maneuvering(few, model)
     notes += outlier_notes(points)
     # The tracker's region holds the points outside of the measured part, too.
     low, high = region_of(scaled)
@@ -153,8 +163,27 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
     return np.array(found).reshape(-1, 3)
 
 
-def _counted(points: PointScans, model: PointModel) -> PointModel | None:
-    """Parameters from the tracks that a model finds; None without tracks of four measurements."""
+class _Own(NamedTuple):
+    """The tracks that a model finds, and their own measurements.
+
+    Attributes:
+        trajectories: The tracks.
+        sequences: Times and positions of the measurements of each track.
+        taken: Number of these measurements.
+    """
+
+    trajectories: list[Trajectory]
+    sequences: list[list[tuple[float, Array]]]
+    taken: int
+
+    @property
+    def long(self) -> list[list[tuple[float, Array]]]:
+        """Sequences that are long enough to be used."""
+        return [one for one in self.sequences if len(one) >= _LEAST_LENGTH]
+
+
+def _own_measurements(points: PointScans, model: PointModel) -> _Own:
+    """Track the points, and assign to each track its own."""
     trajectories = tracked(points, model)
     d, scans = points.dimensions, len(points.times)
     entries = list(range(0, 2 * d, 2))
@@ -179,32 +208,77 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
             if cost[row, column] <= limit:
                 own[present[k][row][0]].append((float(points.times[k]), scan[column]))
                 taken += 1
-    long = [sequence for sequence in own if len(sequence) >= 4]
-    if not long:
-        return None
+    return _Own(trajectories, own, taken)
+
+
+def _counted(points: PointScans, model: PointModel) -> PointModel | None:
+    """Parameters from the tracks that a model finds; None without tracks of four measurements."""
+    own = _own_measurements(points, model)
+    return _fitted(points, model, own) if own.long else None
+
+
+def _maneuvering(points: PointScans, model: PointModel) -> PointModel:
+    """The model with maneuvers, if tracks that may maneuver are so much more likely with them; else as it is."""
+    most, best = _EVIDENCE, None
+    for agility in _AGILITIES:
+        trial = model._replace(maneuver=_MANEUVER, agility=agility)
+        own = _own_measurements(points, trial)
+        if not own.long:
+            continue
+        gain = _most_likely(points, trial, own)[2] - _most_likely(points, model, own)[2]
+        if gain > most:
+            most, best = gain, _fitted(points, trial, own)
+    if best is None:
+        return model
+    # Tracks that break at a maneuver do not show it, so that it is the breaks that say how agile the targets are.
+    score, chosen = -math.inf, best
+    for factor in _MORE_AGILE:
+        trial = best._replace(agility=factor * best.agility)
+        own = _own_measurements(points, trial)
+        if not own.long:
+            continue
+        trial = _fitted(points, trial, own)
+        explained = _score(points, trial, own)
+        if explained > score:
+            score, chosen = explained, trial
+    return chosen
+
+
+def _score(points: PointScans, model: PointModel, own: _Own) -> float:
+    """Log-probability of the points if the tracks are the targets and the rest is clutter, with births and ends."""
+    volume = float(np.prod(model.high - model.low))
+    scans = sum(round((one.times[-1] - one.times[0]) / model.period) for one in own.trajectories)
+    taken = sum(map(len, own.long))
+    rest = sum(map(len, points.scans)) - taken
+    return (
+        _likelihood(points, model, own)
+        + len(own.long) * (math.log(model.births / volume) + math.log(1.0 - model.survival))
+        + taken * math.log(model.detection)
+        + max(scans - taken, 0) * math.log(1.0 - model.detection)
+        + rest * math.log(model.clutter_rate / volume)
+    )
+
+
+def _fitted(points: PointScans, model: PointModel, own: _Own) -> PointModel:
+    """Parameters that fit the tracks that a model has found."""
+    scans, trajectories = len(points.times), own.trajectories
     # The first and the last scan of a track are detections, since tracks are made of them.
     inside = sum(max(len(one) - 2, 0) for one in trajectories)
-    detected = sum(max(len(sequence) - 2, 0) for sequence in own)
+    detected = sum(max(len(sequence) - 2, 0) for sequence in own.sequences)
     # Per interval, not per scan: sensors that follow one another closely do not make targets die sooner.
     alive = sum(float(one.times[-1] - one.times[0]) / model.period + 1.0 for one in trajectories)
     begin = float(points.times[int(_FIRST_SHARE * scans)])
     watched = max((float(points.times[-1]) - begin) / model.period, 1.0)
     late = sum(one.times[0] > begin for one in trajectories)
     deaths = sum(one.times[-1] < points.times[-1] for one in trajectories)
-    size = np.array([len(sequence) for sequence in long])
-    process, measurement = _most_likely(
-        np.array([time for sequence in long for time, _ in sequence]),
-        np.array([place for sequence in long for _, place in sequence]),
-        np.concatenate([[0], np.cumsum(size)]),
-        model,
-        position_noise(points, model),
-    )
+    process, measurement, _ = _most_likely(points, model, own)
     velocities = np.concatenate([one.states[:, 1::2] for one in trajectories])
     return model._replace(
+        agility=model.agility * model.process_noise / process if model.maneuver > 0.0 else 1.0,
         process_noise=process,
         measurement_noise=None if model.measurement_noise is None else max(measurement, LEAST_NOISE * side_of(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
-        clutter_rate=max((sum(map(len, points.scans)) - taken) / scans, 0.01),
+        clutter_rate=max((sum(map(len, points.scans)) - own.taken) / scans, 0.01),
         births=float(np.clip((late + 0.5) / watched, 1e-3, 10.0)),
         survival=float(np.clip(1.0 - (deaths + 0.5) / (alive + 1.0), 0.5, 0.9999)),
         speed=_bounded_speed(points, float(np.sqrt(np.mean(velocities**2)))),
@@ -216,9 +290,12 @@ def _bounded_speed(points: PointScans, speed: float) -> float:
     return min(max(speed, least), most)
 
 
-def _most_likely(times: Array, places: Array, start: Array, model: PointModel, noise: float) -> tuple[float, float]:
-    """Process and measurement noise of greatest likelihood, on a grid of factors that is refined twice."""
-    best = np.log2([model.process_noise, noise])
+def _most_likely(points: PointScans, model: PointModel, own: _Own) -> tuple[float, float, float]:
+    """Process and measurement noise of greatest likelihood, on a grid of factors that is refined twice, and its log."""
+    arrays = _arrays(own)
+    # The noise of a maneuver stays.
+    most_noise = model.agility * model.process_noise
+    best, most = np.log2([model.process_noise, position_noise(points, model)]), -np.inf
     fixed = model.measurement_noise is None
     for width, step in ((6.0, 2.0), (2.0, 0.5), (0.5, 0.125)):
         factors = np.arange(-width, width + 0.5 * step, step)
@@ -227,18 +304,37 @@ def _most_likely(times: Array, places: Array, start: Array, model: PointModel, n
         for a in factors[::-1]:
             for b in (0.0,) if fixed else factors[::-1]:
                 trial = center + np.array([a, b])
-                value = _log_likelihood(times, places, start, 2.0 ** trial[0], 2.0 ** trial[1], model.speed)
+                process, noise = 2.0 ** trial[0], 2.0 ** trial[1]
+                agility = most_noise / process
+                value = _log_likelihood(*arrays, process, noise, model.speed, model.maneuver, agility, model.period)
                 if value > most + _EQUAL:
                     best, most = trial, value
-    return float(2.0 ** best[0]), float(2.0 ** best[1])
+    return float(2.0 ** best[0]), float(2.0 ** best[1]), most
+
+
+def _likelihood(points: PointScans, model: PointModel, own: _Own) -> float:
+    """Log-likelihood of the tracks' measurements with the noises of a model."""
+    noises = model.process_noise, position_noise(points, model)
+    motion = model.speed, model.maneuver, model.agility, model.period
+    return float(_log_likelihood(*_arrays(own), *noises, *motion))
+
+
+def _arrays(own: _Own) -> tuple[Array, Array, Labels]:
+    """Times and positions of the tracks' measurements, sequence by sequence, and the start of each sequence."""
+    times = np.array([time for sequence in own.long for time, _ in sequence])
+    places = np.array([place for sequence in own.long for _, place in sequence])
+    return times, places, np.concatenate([[0], np.cumsum([len(sequence) for sequence in own.long])])
 
 
 @njit(cache=True, nogil=True)
-def _log_likelihood(times, places, start, process, noise, speed):  # type: ignore[no-untyped-def]
+def _log_likelihood(  # type: ignore[no-untyped-def]
+    times, places, start, process, noise, speed, maneuver, agility, period
+):
     """Log-likelihood of measurement sequences under nearly constant velocity, axis by axis.
 
-    A measurement is an outlier with the probability `_STRAY`, with the density of Cauchy on the scale of the prediction:
-    one that belongs to another target must not pass for noise. After two in a row the sequence begins anew.
+    Both cases of a step, with a maneuver and without, are summed over; the likelier one goes on. A measurement is an
+    outlier with the probability `_STRAY`, with Cauchy's density on the scale of the prediction: one that belongs to
+    another target must not pass for noise. After two in a row the sequence begins anew.
     """
     total = 0.0
     R = noise * noise
@@ -259,7 +355,20 @@ def _log_likelihood(times, places, start, process, noise, speed):  # type: ignor
                 square = error * error / S
                 own = (1.0 - _STRAY) * math.exp(-0.5 * square) / math.sqrt(2.0 * math.pi)
                 other = _STRAY / (math.pi * (1.0 + square))
+                if maneuver > 0.0:
+                    turns = 1.0 - (1.0 - maneuver) ** (t / period)
+                    extra = (agility * agility - 1.0) * process * process
+                    wide = S + extra * t**3 / 3.0
+                    agile = math.exp(-0.5 * error * error / wide) / math.sqrt(2.0 * math.pi * wide / S)
+                    agile *= (1.0 - _STRAY) * turns
+                    own = own * (1.0 - turns) + agile
+                    # A mean of both cases would be too wide after every step.
+                    if agile > 0.5 * own:
+                        a += extra * t**3 / 3.0
+                        b += extra * t**2 / 2.0
+                        c += extra * t
                 total += math.log(own + other) - 0.5 * math.log(S)
+                S = a + R
                 if other > own:
                     strays += 1
                     if strays == 2:

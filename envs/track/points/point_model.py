@@ -43,6 +43,8 @@ class PointModel(NamedTuple):
         births: Mean number of new targets per scan.
         survival: Probability that a target survives one scan.
         speed: Root mean square of a coordinate of the velocity, m/s.
+        maneuver: Probability of a maneuver in one period; 0 if the points show none.
+        agility: Factor on the process noise in a maneuver.
     """
 
     period: float
@@ -55,6 +57,8 @@ class PointModel(NamedTuple):
     births: float
     survival: float
     speed: float
+    maneuver: float = 0.0
+    agility: float = 1.0
 
 
 class Units(NamedTuple):
@@ -134,6 +138,8 @@ def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
         detection=model.detection,
         reduction=Reduction(components=5, existence=LEAST_EXISTENCE),
         lag=smoothing_lag(points, model),
+        maneuver=model.maneuver,
+        agility=model.agility,
     )
 
 
