@@ -338,10 +338,10 @@ def test_maneuvers_are_the_heavier_of_all_sequences_of_noises():
     rng = np.random.default_rng(5)
     mean, covariance = np.array([0.0, 5.0, 0.0, -3.0]), np.diag([100.0, 25.0, 100.0, 25.0])
     F, Q, H, R = HMM.transition, HMM.process_noise, HMM.observation, HMM.measurement_noise
-    probability, agility, scans = 0.2, 6.0, []
+    probability, agility, scans, x = 0.2, 6.0, [], mean + np.array([0.0, 3.0, 0.0, 4.0])
     for k in range(5):
-        x = mean + np.array([0.0, 3.0, 0.0, 4.0]) if k == 0 else F @ x + (40.0 * np.eye(4)[1] if k == 3 else 0.0)
         scans.append((H @ x + 1.5 * rng.standard_normal(2))[None])
+        x = F @ x + (40.0 * np.eye(4)[1] if k == 2 else 0.0)
     best, most = None, -np.inf
     for noises in itertools.product((1.0, agility), repeat=4):
         # Forward filter and backward pass under one sequence.

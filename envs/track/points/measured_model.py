@@ -9,6 +9,7 @@ computed in units of the points' own, so that nanometers serve as well as nautic
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from servotrack.envs.track.files.points import PointScans
+from servotrack.envs.track.points.clutter_map import clutter_map, may_be_mapped
 from servotrack.envs.track.points.point_extent import check_scales, outlier_notes, period_of, region_of, side_of
 from servotrack.envs.track.points.point_model import LEAST_NOISE, PointModel, Units, position_noise, tracked
 from servotrack.estimators.compilation import njit
@@ -25,7 +27,9 @@ from servotrack.estimators.types import Array, Labels
 
 _ROUNDS = 3
 _FITTED_SCANS = 300
-"""Scans that the parameters are measured on, from the first one."""
+"""Scans that the parameters are measured on: the first ones in which tracks are found."""
+_PARTS = 20
+"""Largest number of such parts that are tried."""
 _CHANCE = 0.05
 """Largest probability that a neighbor so close is there by chance."""
 _GATE = 1e-3
@@ -63,27 +67,61 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
     check_scales(points)
     units = Units.of(points)
     scaled = units.points(points)
-    # An hour without a target has nothing to measure.
-    first = next(k for k, scan in enumerate(scaled.scans) if len(scan))
-    part = slice(max(min(first, len(scaled.times) - 2), 0), first + _FITTED_SCANS)
-    few = scaled._replace(
-        times=scaled.times[part],
-        scans=scaled.scans[part],
-        covariances=None if scaled.covariances is None else scaled.covariances[part],
-    )
-    model, notes = _first_guess(few)
-    for _ in range(_ROUNDS):
-        found = _counted(few, model)
-        if found is None:
-            notes.append("no track of four measurements was found: noise and rates are guesses")
+    guesses = []
+    for few in _parts(scaled):
+        guess, notes = _first_guess(few)
+        guesses.append((guess, notes))
+        model = _mapped(few, guess, _refined(few, guess))
+        if model is not None:
+            model = _maneuvering(few, model)
             break
-        model = found
     else:
-        model = _maneuvering(few, model)
+        model, notes = guesses[0]
+        notes.append("no track of four measurements was found: noise and rates are guesses")
     notes += outlier_notes(points)
     # The tracker's region holds the points outside of the measured part, too.
     low, high = region_of(scaled)
     return units.model(model._replace(low=low, high=high), back=True), notes
+
+
+def _parts(points: PointScans) -> Iterator[PointScans]:
+    """Parts of `_FITTED_SCANS` scans: the first with a point, then later ones, all or so many over the whole time."""
+    first = next(k for k, scan in enumerate(points.scans) if len(scan))
+    starts = np.arange(min(first, len(points.times) - 2), len(points.times) - 1, _FITTED_SCANS)
+    # An hour without a target has nothing to measure.
+    for start in starts[np.unique(np.linspace(0, len(starts) - 1, min(len(starts), _PARTS)).round().astype(int))]:
+        part = slice(start, start + _FITTED_SCANS)
+        if any(map(len, points.scans[part])):
+            yield points._replace(
+                times=points.times[part],
+                scans=points.scans[part],
+                covariances=None if points.covariances is None else points.covariances[part],
+            )
+
+
+def _refined(points: PointScans, model: PointModel) -> PointModel | None:
+    """Parameters after rounds of tracking and counting; None if a round finds no track of four measurements."""
+    for _ in range(_ROUNDS):
+        own = _own_measurements(points, model)
+        if not own.long:
+            return None
+        model = _fitted(points, model, own)
+    return model
+
+
+def _mapped(points: PointScans, guess: PointModel, found: PointModel | None) -> PointModel | None:
+    """The model, or one whose clutter is denser in some places, whichever explains the points better."""
+    everything = np.concatenate(points.scans)
+    density = clutter_map(everything, guess.low, guess.high)
+    if density is None or not may_be_mapped(everything, guess.low, guess.high):
+        return found
+    other = _refined(points, guess._replace(clutter_map=density))
+    if other is None or other.clutter_map is None:
+        return found
+    if found is None:
+        return other
+    scores = [_score(points, one, _own_measurements(points, one)) for one in (found, other)]
+    return other if scores[1] > scores[0] + _EVIDENCE else found
 
 
 def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
@@ -169,12 +207,12 @@ class _Own(NamedTuple):
     Attributes:
         trajectories: The tracks.
         sequences: Times and positions of the measurements of each track.
-        taken: Number of these measurements.
+        free: Positions of all other points. Shape (k, d).
     """
 
     trajectories: list[Trajectory]
     sequences: list[list[tuple[float, Array]]]
-    taken: int
+    free: Array
 
     @property
     def long(self) -> list[list[tuple[float, Array]]]:
@@ -194,7 +232,7 @@ def _own_measurements(points: PointScans, model: PointModel) -> _Own:
             present[row_of[time]].append((t, state[entries], P[np.ix_(entries, entries)]))
     own: list[list[tuple[float, Array]]] = [[] for _ in trajectories]
     R = np.eye(d) * position_noise(points, model) ** 2
-    limit, taken = float(chdtri(d, _GATE)), 0
+    limit, free = float(chdtri(d, _GATE)), [np.ones(len(scan), np.bool_) for scan in points.scans]
     for k, scan in enumerate(points.scans):
         if not len(scan) or not present[k]:
             continue
@@ -207,19 +245,18 @@ def _own_measurements(points: PointScans, model: PointModel) -> _Own:
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             if cost[row, column] <= limit:
                 own[present[k][row][0]].append((float(points.times[k]), scan[column]))
-                taken += 1
-    return _Own(trajectories, own, taken)
-
-
-def _counted(points: PointScans, model: PointModel) -> PointModel | None:
-    """Parameters from the tracks that a model finds; None without tracks of four measurements."""
-    own = _own_measurements(points, model)
-    return _fitted(points, model, own) if own.long else None
+                free[k][column] = False
+    rest = np.concatenate([scan[left] for scan, left in zip(points.scans, free, strict=True)])
+    return _Own(trajectories, own, rest)
 
 
 def _maneuvering(points: PointScans, model: PointModel) -> PointModel:
     """The model with maneuvers, if tracks that may maneuver are so much more likely with them; else as it is."""
     most, best = _EVIDENCE, None
+    tracks = tracked(points, model)
+    # A track that breaks at a maneuver ends, and another one begins.
+    if not tracks or min(one.times[-1] for one in tracks) >= max(one.times[0] for one in tracks):
+        return model
     for agility in _AGILITIES:
         trial = model._replace(maneuver=_MANEUVER, agility=agility)
         own = _own_measurements(points, trial)
@@ -256,6 +293,7 @@ def _score(points: PointScans, model: PointModel, own: _Own) -> float:
         + taken * math.log(model.detection)
         + max(scans - taken, 0) * math.log(1.0 - model.detection)
         + rest * math.log(model.clutter_rate / volume)
+        + (0.0 if model.clutter_map is None else float(np.log(model.clutter_map(own.free)).sum()))
     )
 
 
@@ -278,7 +316,8 @@ def _fitted(points: PointScans, model: PointModel, own: _Own) -> PointModel:
         process_noise=process,
         measurement_noise=None if model.measurement_noise is None else max(measurement, LEAST_NOISE * side_of(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
-        clutter_rate=max((sum(map(len, points.scans)) - own.taken) / scans, 0.01),
+        clutter_rate=max(len(own.free) / scans, 0.01),
+        clutter_map=model.clutter_map and clutter_map(own.free, model.low, model.high),
         births=float(np.clip((late + 0.5) / watched, 1e-3, 10.0)),
         survival=float(np.clip(1.0 - (deaths + 0.5) / (alive + 1.0), 0.5, 0.9999)),
         speed=_bounded_speed(points, float(np.sqrt(np.mean(velocities**2)))),
