@@ -173,6 +173,8 @@ def checked_number(name: str, value: Any, least: float, most: float, rule: str) 
     Raises:
         ValueError: The value is no real number, or out of range.
     """
+    if type(value) is float and least <= value <= most:
+        return value
     array = as_array(name, value)
     if array.shape != () or array.dtype.kind not in "fiub" or not least <= array <= most:
         described = f"{value!r}" if np.isscalar(value) or value is None else _shortened(value)

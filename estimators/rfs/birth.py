@@ -154,11 +154,9 @@ class MeasurementBirth:
         kept = min(self._rows(number), number)
         if kept == 0:
             return None if isinstance(model, SensedModel) and model.sensor.places is None else self.empty(batch, model)
-        z, chance, order = _least_explained(np.ascontiguousarray(measurements), unexplained, kept)
+        z = np.ascontiguousarray(measurements)
         if kept < number and np.any(np.sort(unexplained, axis=1)[:, number - kept - 1] >= REPORTED):
             warn_of_cap("places of births", "births")
-        if excess is not None and excess.shape[1] > 0:
-            excess = np.take_along_axis(excess, order[:, :, None, None], axis=1)
         found = self._starts(model, z, excess)
         if found is None:
             return None
@@ -166,7 +164,7 @@ class MeasurementBirth:
         births, pieces = self.empty(batch, model, number), mean.shape[2]
         if pieces > 1:
             births = BirthMixture(*(np.repeat(field, pieces, axis=1) for field in births))
-        _share(births, z, chance, mean, covariance, share * self.expected, self.largest)
+        _share(births, z, unexplained, mean, covariance, kept, share * self.expected, self.largest)
         return births
 
     def predicted(self, model: TargetModel, births: BirthMixture) -> BirthMixture:
@@ -236,38 +234,28 @@ def joined_births(first: BirthMixture, second: BirthMixture) -> BirthMixture:
 
 
 @njit(cache=True, nogil=True)
-def _least_explained(measurements, unexplained, kept):  # type: ignore[no-untyped-def]
-    """The `kept` least explained measurements of each run, the least first, their chances to be new, and their rows."""
-    batch, _, m = measurements.shape
-    z, chance, rows = np.empty((batch, kept, m)), np.empty((batch, kept)), np.empty((batch, kept), np.int64)
-    for b in range(batch):
-        order = np.argsort(-unexplained[b], kind="mergesort")
-        for k in range(kept):
-            z[b, k], chance[b, k], rows[b, k] = measurements[b, order[k]], unexplained[b, order[k]], order[k]
-    return z, chance, rows
-
-
-@njit(cache=True, nogil=True)
-def _share(births, z, chance, mean, covariance, expected, largest):  # type: ignore[no-untyped-def]
-    """Distribute the expected number of births over measurements, and over the pieces of each."""
-    batch, kept, pieces, n = mean.shape
+def _share(births, z, unexplained, mean, covariance, kept, expected, largest):  # type: ignore[no-untyped-def]
+    """Distribute the expected number of births over the `kept` least explained measurements, and over their pieces."""
+    batch, _, pieces, n = mean.shape
     joint = births.mean.shape[2] > n
     for b in range(batch):
+        order = np.argsort(-unexplained[b], kind="mergesort")
         total = 0.0
         for k in range(kept):
-            total += chance[b, k]
+            total += unexplained[b, order[k]]
         for k in range(kept):
-            share = expected * chance[b, k] / total if total > 0.0 else 0.0
+            j = order[k]
+            share = expected * unexplained[b, j] / total if total > 0.0 else 0.0
             for piece in range(pieces):
                 row = k * pieces + piece
                 births.weight[b, row] = min(share, largest) / pieces
                 if share <= 0.0:
                     continue
-                births.mean[b, row, :n] = mean[b, k, piece]
+                births.mean[b, row, :n] = mean[b, j, piece]
                 if joint:
-                    births.mean[b, row, n:] = z[b, k]
+                    births.mean[b, row, n:] = z[b, j]
                 births.covariance[b, row] = covariance[
-                    min(b, len(covariance) - 1), min(k, covariance.shape[1] - 1), piece
+                    min(b, len(covariance) - 1), min(j, covariance.shape[1] - 1), piece
                 ]
 
 

@@ -26,7 +26,7 @@ def tracks_outgrew(rules: Reduction, tracks: Tracks, pool: Mixture) -> bool:
     """
     full_tracks = tracks.number >= tracks.existence.shape[1]
     full = full_tracks | (pool.number >= pool.weight.shape[1])
-    if not full.any():
+    if not np.count_nonzero(full):
         return False
     if rules.tracks is None and (rules.pool is None or full_tracks.any()):
         return True
@@ -72,7 +72,7 @@ def undetected_outgrew(
         UserWarning: The cap removed them, and the caller's cap keeps the arrays from growing.
     """
     full = undetected.number >= undetected.weight.shape[1]
-    if not full.any():
+    if not np.count_nonzero(full):
         return False
     used = np.arange(predicted.weight.shape[1]) < predicted.number[:, None]
     left = np.where(used, predicted.weight, 0.0) * (1.0 - detection)

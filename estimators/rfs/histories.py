@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.rfs.gaussians import LINEAR, add_noise, cholesky_inverse, innovate
+from servotrack.estimators.rfs.gaussians import LINEAR, add_noise, attach_measurement, cholesky_inverse, innovate
 from servotrack.estimators.types import Array
 
 
@@ -241,3 +241,42 @@ def update_histories(model, b, history, mixture, scan, candidates, component, ro
         if total[into] > 0.0:
             for past in range(lag):
                 out_begun[into, past] /= total[into]
+
+
+@njit(cache=True, nogil=True)
+def split_components(pool, past, probability, out_pool, out_past):  # type: ignore[no-untyped-def]
+    """Write every component twice, with its history: the first shall not maneuver, the second shall.
+
+    Args:
+        pool: `Mixture` of the tracks.
+        past: `History` of its components.
+        probability: Probability of a maneuver.
+        out_pool: Output: `Mixture` with twice the rows.
+        out_past: Output: `History` with twice the rows.
+    """
+    for b in range(pool.number.shape[0]):
+        out_pool.number[b] = 2 * pool.number[b]
+        for i in range(pool.number[b]):
+            for twin in range(2):
+                row = 2 * i + twin
+                out_pool.weight[b, row] = pool.weight[b, i] * (probability if twin == 1 else 1.0 - probability)
+                out_pool.mean[b, row] = pool.mean[b, i]
+                out_pool.covariance[b, row] = pool.covariance[b, i]
+                out_pool.detected[b, row] = pool.detected[b, i]
+                out_pool.label[b, row] = pool.label[b, i]
+                out_past.begun[b, row] = past.begun[b, i]
+                out_past.mean[b, row] = past.mean[b, i]
+                out_past.covariance[b, row] = past.covariance[b, i]
+                out_past.cross[b, row] = past.cross[b, i]
+
+
+@njit(cache=True, nogil=True)
+def add_maneuver_noise(model, noise, predicted):  # type: ignore[no-untyped-def]
+    """Add the noise of a maneuver, shape (n, n), to every second predicted component; see `split_components`."""
+    n = model.observation.shape[1]
+    for b in range(predicted.number.shape[0]):
+        for row in range(1, predicted.number[b], 2):
+            for r in range(n):
+                for c in range(n):
+                    predicted.covariance[b, row, r, c] += noise[r, c]
+            attach_measurement(model, predicted.mean[b, row], predicted.covariance[b, row])

@@ -11,6 +11,7 @@ Petetin and Desbouvries 2013); `STRUCTURES` names the readings S1 to S6 of the p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, Protocol
@@ -84,7 +85,7 @@ class MovingModel(Protocol):
 
 def checked_period(period: float) -> float:
     """Return the interval of a model, which is 0 for two scans at one instant, or raise ValueError."""
-    if not (np.isfinite(period) and period >= 0.0):
+    if not (math.isfinite(period) and period >= 0.0):
         raise ValueError(f"period must be finite and >= 0, got {period!r}")
     return float(period)
 
@@ -203,8 +204,7 @@ class HiddenMarkovModel:
         }
         made = object.__new__(cls)
         # A filter makes a model for every interval: checks of what was checked before would take most of a step.
-        for name, value in fields.items():
-            object.__setattr__(made, name, value)
+        made.__dict__.update(fields)
         return made
 
     @property
@@ -213,7 +213,8 @@ class HiddenMarkovModel:
         Q, H, R = self.process_noise, self.observation, self.measurement_noise
         n = Q.shape[0]
         joint = np.empty((n + R.shape[0], n + R.shape[0]))
-        joint[:n, :n], joint[:n, n:], joint[n:, :n], joint[n:, n:] = Q, Q @ H.T, H @ Q, H @ Q @ H.T + R
+        HQ = H @ Q
+        joint[:n, :n], joint[:n, n:], joint[n:, :n], joint[n:, n:] = Q, Q @ H.T, HQ, HQ @ H.T + R
         return joint
 
     @cached_property

@@ -58,9 +58,8 @@ class ConstantVelocity(AxisMotion):
     """
 
     def _axis(self, t: float) -> tuple[Array, Array]:
-        F = np.array([[1.0, t], [0.0, 1.0]])
-        Q = np.array([[t**3 / 3.0, t**2 / 2.0], [t**2 / 2.0, t]])
-        return F, Q
+        cross = t**2 / 2.0
+        return np.array([[1.0, t], [0.0, 1.0]]), np.array([[t**3 / 3.0, cross], [cross, t]])
 
 
 @dataclass(frozen=True)
@@ -211,10 +210,10 @@ def _lag_of_sine(angle: float) -> float:
 def _per_axis(block: Array, dimensions: int) -> Array:
     """The matrix of all axes from that of one."""
     size = len(block)
-    matrix = np.zeros((size * dimensions, size * dimensions))
-    for axis in range(0, size * dimensions, size):
-        matrix[axis : axis + size, axis : axis + size] = block
-    return matrix
+    matrix = np.zeros((dimensions, size, dimensions, size))
+    for axis in range(dimensions):
+        matrix[axis, :, axis] = block
+    return matrix.reshape(dimensions * size, dimensions * size)
 
 
 def _check_axes(process_noise: float, dimensions: int) -> None:

@@ -53,15 +53,19 @@ class PMB(PoissonTrackFilter[PMBState]):
 
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
 
-    def _empty(self, batch: int, capacity: int | None = None, hidden: int | None = None) -> PMBState:
-        rules, N = self.reduction, sum(self._sizes)
-        capacity = capacity or rules.first_tracks
+    def _empty(self, batch: int) -> PMBState:
+        capacity, hidden = self.reduction.first_tracks, self._first_undetected
+        return self._with_room(batch, capacity, hidden, self._no_births(batch), np.ones(batch, np.int64))
+
+    def _with_room(self, batch: int, capacity: int, hidden: int, births: BirthMixture, next_label: Labels) -> PMBState:
+        """State without targets, with room for `capacity` tracks and `hidden` components of undetected targets."""
+        N = sum(self._sizes)
         return PMBState(
             empty_tracks(batch, capacity),
-            empty_mixture(batch, rules.pool_rows(capacity), N),
-            empty_mixture(batch, hidden or self._first_undetected, N),
-            self._no_births(batch),
-            np.ones(batch, np.int64),
+            empty_mixture(batch, self.reduction.pool_rows(capacity), N),
+            empty_mixture(batch, hidden, N),
+            births,
+            next_label,
         )
 
     def _advance(self, state: PMBState, births: BirthMixture, scan: Scan) -> tuple[PMBState, Extraction, Array]:
@@ -80,8 +84,7 @@ class PMB(PoissonTrackFilter[PMBState]):
         self, state: PMBState, prediction: Prediction, scan: Scan, capacity: int, hidden: int
     ) -> tuple[PMBState, Tally]:
         """Update into arrays with room for `capacity` tracks and `hidden` components of undetected targets."""
-        empty = self._empty(len(scan.number), capacity, hidden)
-        new = empty._replace(births=state.births, next_label=state.next_label.copy())
+        new = self._with_room(len(scan.number), capacity, hidden, state.births, state.next_label.copy())
         tally = empty_tally(scan, state.tracks, new.tracks)
         limits = self.reduction.limits
         check_positive_definite(

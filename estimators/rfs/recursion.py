@@ -259,7 +259,8 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         """The same filter for another interval."""
         made = object.__new__(type(self))
         # `replace` would check all arguments again, which takes longer than a scan with a few targets.
-        made.__dict__.update({name: getattr(self, name) for name in self._names}, **self._interval_changes(dt))
+        own = self.__dict__
+        made.__dict__.update({name: own[name] for name in self._names}, **self._interval_changes(dt))
         # What does not depend on the interval is computed once.
         made.__dict__.update(_names=self._names, _sizes=self._sizes, _gate=self._gate, _anywhere=self._anywhere)
         if not self.spawn:
@@ -276,7 +277,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
 
     def _interval_changes(self, dt: float) -> dict[str, Any]:
         """Arguments of the filter for another interval that differ."""
-        model, share = model_at(self.model, dt, None), dt / self.model.period
+        model, share = self.model.at(dt), dt / self.model.period
         changes: dict[str, Any] = {"model": model, "survival": _to_the(self.survival, share)}
         if self._sites is not None and share > 0.0:
             sites = replace(self._sites, weights=np.minimum(share * self._sites.weights, 1.0))
@@ -366,9 +367,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     def _clutter(self, z: Array, number: Labels) -> Array:
         """Clutter intensity at each measurement, 0 in unused rows. Shape (B, Z)."""
         if not callable(self.clutter_intensity):
-            values = np.empty(z.shape[:2])
-            values.T[:] = self.clutter_intensity
-            return values
+            return _filled(z.shape[:2], self.clutter_intensity)
         used = np.arange(z.shape[1]) < number[:, None]
         kappa = np.zeros(z.shape[:2])
         kappa[used] = checked_values("clutter_intensity", self.clutter_intensity(z[used]), int(used.sum()), np.inf)
@@ -377,9 +376,7 @@ class GaussianSetFilter(ABC, Generic[StateT]):
     def _evaluate(self, name: str, probability: Probability | Array, mixture: Mixture) -> Array:
         """Evaluate p_S or p_D at each component's mean: a function, a constant or one per run. Shape (B, K)."""
         if not callable(probability):
-            values = np.empty(mixture.weight.shape)
-            values.T[:] = probability
-            return values
+            return _filled(mixture.weight.shape, probability)
         used = np.arange(mixture.weight.shape[1]) < mixture.number[:, None]
         values = np.zeros(mixture.weight.shape)
         states = mixture.mean[used][:, : self._sizes[0]]
@@ -387,11 +384,23 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         return values
 
 
+def _filled(shape: tuple[int, ...], value: float | Array) -> Array:
+    """Array (B, K) of a number, or of one number per run, shape (B,)."""
+    values = np.empty(shape)
+    if isinstance(value, float):
+        values.fill(value)
+    else:
+        values.T[:] = value
+    return values
+
+
 def resized(state: TupleT, width: int) -> TupleT:
     """A state whose components have `width` entries, for a sensor whose measurements have another size.
 
     Only hidden Markov models have other sensors, and there the entries of the last measurement are not used.
     """
+    if all(field.mean.shape[-1] == width for field in state if type(field) is Mixture):
+        return state
 
     def fit(field: Any) -> Any:
         if not isinstance(field, Mixture) or field.mean.shape[-1] == width:

@@ -8,6 +8,7 @@ with those of the same measurement. Under a hidden Markov model y is dropped and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -130,7 +131,7 @@ class Reduction:
         """Components of all tracks in arrays with room for so many tracks."""
         return 3 * tracks if self.pool is None else self.pool
 
-    @property
+    @cached_property
     def limits(self) -> Limits:
         """Numbers for the compiled kernels."""
         return Limits(

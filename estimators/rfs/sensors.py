@@ -249,10 +249,12 @@ def model_at(model: TargetModel, dt: float | None, sensor: Sensor | None) -> Tar
     return model if interval is None else model.at(interval)
 
 
+_INTERVAL_RULE = f"finite and >= 0, at most {LIMITS.times:g} s; for scans that arrive out of order use `TimedTracker`"
+
+
 def checked_interval(dt: float) -> float:
     """Return an interval between scans, s, or raise ValueError if it is no number from 0 to the limit of clocks."""
-    rule = f"finite and >= 0, at most {LIMITS.times:g} s; for scans that arrive out of order use `TimedTracker`"
-    return checked_number("dt", dt, 0.0, LIMITS.times, rule)
+    return checked_number("dt", dt, 0.0, LIMITS.times, _INTERVAL_RULE)
 
 
 def sensed(model: TargetModel, sensor: Sensor, dt: float | None = None) -> TargetModel:

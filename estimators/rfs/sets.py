@@ -108,16 +108,16 @@ def estimate_from_extraction(extraction: Extraction, single: bool) -> SetEstimat
     if single:
         # One run needs no padding.
         reported = extraction.reported[0, : int(extraction.number[0])]
-        shown, kept = np.flatnonzero(reported), np.flatnonzero(~reported)
+        (shown,), (kept,) = reported.nonzero(), (~reported).nonzero()
         return SetEstimate(
-            extraction.state[0][shown],
-            extraction.label[0][shown],
-            extraction.existence[0][shown],
-            extraction.covariance[0][shown],
+            extraction.state[0].take(shown, axis=0),
+            extraction.label[0].take(shown),
+            extraction.existence[0].take(shown),
+            extraction.covariance[0].take(shown, axis=0),
             extraction.expected[0],
-            extraction.label[0][kept],
-            extraction.state[0][kept],
-            extraction.existence[0][kept],
+            extraction.label[0].take(kept),
+            extraction.state[0].take(kept, axis=0),
+            extraction.existence[0].take(kept),
         )
     used = np.arange(extraction.label.shape[1]) < extraction.number[:, None]
     show, keep = _front(used & extraction.reported), _front(used & ~extraction.reported)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+import bisect
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from servotrack.estimators.rfs.sensors import Sensor
@@ -33,8 +32,10 @@ class TimedFilter(Protocol[StateT]):
         """Predict over an interval and update with a scan of a sensor."""
 
 
-@dataclass(frozen=True)
-class _Scan:
+_TIME_RULE = f"finite, at most {LIMITS.times:g} s from 0"
+
+
+class _Scan(NamedTuple):
     """A scan with the state after it."""
 
     time: float
@@ -85,7 +86,7 @@ class TimedTracker(Generic[StateT]):
             ValueError: The time is not finite, or before all scans in memory; measurements are refused by the filter.
                 Such a scan changes nothing.
         """
-        time = checked_number("time", time, -LIMITS.times, LIMITS.times, f"finite, at most {LIMITS.times:g} s from 0")
+        time = checked_number("time", time, -LIMITS.times, LIMITS.times, _TIME_RULE)
         place = len(self._scans)
         while place > 0 and self._scans[place - 1].time > time:
             place -= 1
@@ -110,7 +111,7 @@ class TimedTracker(Generic[StateT]):
             replayed.append(last)
         self._scans[place:] = replayed
         self.time, self.estimate = replayed[-1].time, estimate
-        first = int(np.searchsorted([scan.time for scan in self._scans], self.time - self.memory, side="left"))
+        first = bisect.bisect_left(self._scans, self.time - self.memory, key=lambda scan: scan.time)
         # One state older than the memory is kept: a scan at its edge starts from it.
         if first > 1:
             del self._scans[: first - 1]

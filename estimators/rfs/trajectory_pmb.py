@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from servotrack.estimators.rfs.bernoulli import Tracks, empty_tracks
 from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.extraction import RULES, extract_tracks
-from servotrack.estimators.rfs.histories import History, Lineage, empty_history, predict_histories
+from servotrack.estimators.rfs.histories import (
+    History,
+    Lineage,
+    add_maneuver_noise,
+    empty_history,
+    predict_histories,
+    split_components,
+)
 from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
+from servotrack.estimators.rfs.models import PairwiseMarkovModel
 from servotrack.estimators.rfs.pmb import PMBState
 from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
@@ -33,7 +42,7 @@ from servotrack.estimators.rfs.trajectory_tables import (
 )
 from servotrack.estimators.stateful import add_axis
 from servotrack.estimators.types import Array, Labels
-from servotrack.estimators.validation import check_count
+from servotrack.estimators.validation import LARGEST_NUMBER, check_count, checked_number
 
 
 class TrajectoryPMBState(NamedTuple):
@@ -74,6 +83,10 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
             little to gain.
         least_length: Identities that have ended and existed for fewer scans are withheld. Raising it removes false
             targets, and those that were detected only a few times.
+        maneuver: Probability that a target maneuvers in one period: its process noise is then `agility` times as large,
+            whatever it was before. Raising it keeps the identities of targets that turn or stop suddenly, at twice the
+            time per step; 0 has one noise. Hidden Markov models only.
+        agility: Factor on the standard deviation of the process noise in a maneuver, at least 1.
 
     References:
         Garcia-Fernandez, Svensson, Williams, Xia and Granstrom, "Trajectory Poisson multi-Bernoulli filters", IEEE
@@ -83,11 +96,20 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
     reduction: Reduction = field(default_factory=lambda: Reduction(components=5))
     lag: int = 5
     least_length: int = 2
+    maneuver: float = 0.0
+    agility: float = 10.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_count("lag", self.lag, 0)
         check_count("least_length", self.least_length, 0)
+        checked_number("maneuver", self.maneuver, 0.0, 1.0, "in [0, 1]")
+        checked_number("agility", self.agility, 1.0, LARGEST_NUMBER, "finite and at least 1")
+        if self.maneuver > 0.0 and self.model.packed.pairwise:
+            raise ValueError(
+                f"maneuver must be 0 under a pairwise Markov model, whose noise is one with its measurements, got "
+                f"{self.maneuver!r}; use its hidden Markov model"
+            )
 
     def flush(self, state: TrajectoryPMBState) -> list[SetEstimate]:
         """Return the estimates of the last `lag` scans, the oldest first; the state does not change."""
@@ -115,11 +137,16 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
     ) -> tuple[TrajectoryPMBState, Extraction, Array]:
         model, batch = self.model.packed, len(scan.number)
         n, m = self._sizes
-        prediction = self._predict(state, state.tracks.existence, births)
+        split = self.maneuver > 0.0 and self.model.period > 0.0
+        before = self._split(state) if split else state
+        prediction = self._predict(before, state.tracks.existence, births)
+        if split:
+            add_maneuver_noise(model, self._maneuver_noise, prediction.pool)
+            self._attach(prediction.pool)
         past = empty_history(batch, prediction.pool.weight.shape[1], self.lag, n, n + m)
         hidden_past = empty_history(batch, prediction.hidden.weight.shape[1], self.lag, n, n + m)
         shift, start = int(self.model.period > 0.0), np.zeros(batch, np.int64)
-        predict_histories(model, state.pool, state.past, prediction.pool, shift, start, past)
+        predict_histories(model, before.pool, before.past, prediction.pool, shift, start, past)
         predict_histories(model, state.undetected, state.hidden_past, prediction.hidden, shift, start, hidden_past)
         if self._anywhere is not None and shift:
             # A target that is born at a measurement was there when it was measured.
@@ -138,6 +165,28 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
         hidden_survival = self._evaluate("survival", self.survival, state.undetected)
         advance_trajectories(state, survival, hidden_survival, absent, self.threshold, shift, new)
         return new, self._smoothed(new, self.lag), tally.unexplained
+
+    @cached_property
+    def _maneuver_noise(self) -> Array:
+        """Process noise of a maneuver in excess of the usual one. Shape (n, n)."""
+        model = self.model
+        assert not isinstance(model, PairwiseMarkovModel)
+        return (self.agility**2 - 1.0) * model.process_noise
+
+    def _interval_changes(self, dt: float) -> dict[str, Any]:
+        changes = super()._interval_changes(dt)
+        if self.maneuver > 0.0:
+            changes["maneuver"] = 1.0 - (1.0 - self.maneuver) ** (dt / self.model.period)
+        return changes
+
+    def _split(self, state: TrajectoryPMBState) -> TrajectoryPMBState:
+        """State with two components for each one of the tracks: without a maneuver, and with one."""
+        batch, rows = state.pool.weight.shape
+        n, m = self._sizes
+        tracks = state.tracks._replace(size=2 * state.tracks.size)
+        pool, past = empty_mixture(batch, 2 * rows, n + m), empty_history(batch, 2 * rows, self.lag, n, n + m)
+        split_components(state.pool, state.past, self.maneuver, pool, past)
+        return state._replace(tracks=tracks, pool=pool, past=past)
 
     def _updated(
         self,

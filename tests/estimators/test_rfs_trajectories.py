@@ -20,6 +20,7 @@ from servotrack.estimators.rfs import (
     TrajectoryPMB,
     constant_velocity,
     pairwise_structure,
+    track_scans,
 )
 from servotrack.estimators.stateful import Stateful
 from servotrack.estimators.testing import check_estimator
@@ -331,3 +332,69 @@ def test_a_target_born_at_a_measurement_starts_with_it():
     tracker = Stateful(TrajectoryPMB(S1, MeasurementBirth(), clutter_intensity=1e-6, detection=0.9, lag=4))
     starts = [k - 4 for k in range(12) if len(tracker.step(np.array([[5.0 * k, 3.0]])).labels) and k >= 4]
     assert starts[0] == 0
+
+
+def test_maneuvers_are_the_heavier_of_all_sequences_of_noises():
+    rng = np.random.default_rng(5)
+    mean, covariance = np.array([0.0, 5.0, 0.0, -3.0]), np.diag([100.0, 25.0, 100.0, 25.0])
+    F, Q, H, R = HMM.transition, HMM.process_noise, HMM.observation, HMM.measurement_noise
+    probability, agility, scans, x = 0.2, 6.0, [], mean + np.array([0.0, 3.0, 0.0, 4.0])
+    for k in range(5):
+        scans.append((H @ x + 1.5 * rng.standard_normal(2))[None])
+        x = F @ x + (40.0 * np.eye(4)[1] if k == 2 else 0.0)
+    best, most = None, -np.inf
+    for noises in itertools.product((1.0, agility), repeat=4):
+        # Forward filter and backward pass under one sequence.
+        weight, x, P, filtered, predicted = 0.0, mean, covariance, [], []
+        for k, z in enumerate(scans):
+            if k > 0:
+                scale = noises[k - 1]
+                x, P = F @ x, F @ P @ F.T + scale**2 * Q
+                weight += np.log(probability if scale > 1.0 else 1.0 - probability)
+            predicted.append((x, P))
+            S = H @ P @ H.T + R
+            error = z[0] - H @ x
+            weight -= 0.5 * (error @ np.linalg.solve(S, error) + np.linalg.slogdet(S)[1])
+            gain = P @ H.T @ np.linalg.inv(S)
+            x, P = x + gain @ error, P - gain @ S @ gain.T
+            filtered.append((x, P))
+        states = [filtered[-1][0]]
+        for k in range(3, -1, -1):
+            (x, P), (ahead, spread) = filtered[k], predicted[k + 1]
+            states.append(x + P @ F.T @ np.linalg.solve(spread, states[-1] - ahead))
+        if weight > most:
+            best, most = states[::-1], weight
+    tracker = Stateful(
+        TrajectoryPMB(
+            HMM, Birth([0.03], [mean], covariance), clutter_intensity=1e-12, detection=0.999, lag=4,
+            reduction=UNREDUCED, gate_probability=1.0, maneuver=probability, agility=agility,
+        )
+    )  # fmt: skip
+    for z in scans:
+        estimate = tracker.step(z)
+    found = [estimate, *tracker.estimator.flush(tracker.state)]
+    np.testing.assert_allclose([one.states[0] for one in found], best, rtol=0, atol=1e-6)
+
+
+def test_a_sudden_stop_keeps_its_identity_with_maneuvers_only():
+    rng = np.random.default_rng(2)
+    where = np.concatenate([15.0 * np.arange(20), np.full(20, 285.0), 285.0 + 15.0 * np.arange(20)])
+    scans = [np.array([[x, 0.5 * x]]) + rng.normal(0.0, 1.0, (1, 2)) for x in where]
+    model, birth = constant_velocity(0.1, 1.0), Birth([0.1], [[200.0, 0.0, 100.0, 0.0]], np.diag([4e4, 200.0] * 2))
+    labels = []
+    for maneuver in (0.0, 0.05):
+        tracker = TrajectoryPMB(model, birth, clutter_intensity=1e-5, detection=0.95, maneuver=maneuver, agility=100.0)
+        labels.append(len(track_scans(tracker, scans, np.arange(60.0))))
+    assert labels[0] > 1 and labels[1] == 1
+
+
+def test_maneuvers_are_per_time():
+    birth = MeasurementBirth()
+    tracker = TrajectoryPMB(HMM, birth, clutter_intensity=1e-6, maneuver=0.1)
+    assert tracker.at(2.0).maneuver == pytest.approx(1.0 - 0.9**2)
+    assert tracker.at(0.0).maneuver == 0.0
+    with pytest.raises(ValueError, match="maneuver must be 0 under a pairwise"):
+        TrajectoryPMB(S1, birth, clutter_intensity=1e-6, maneuver=0.1)
+    for name, value in (("maneuver", 1.5), ("maneuver", np.nan), ("agility", 0.5)):
+        with pytest.raises(ValueError, match=f"{name} must be"):
+            TrajectoryPMB(HMM, birth, clutter_intensity=1e-6, **{name: value})

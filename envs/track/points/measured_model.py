@@ -9,6 +9,8 @@ computed in units of the points' own, so that nanometers serve as well as nautic
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -16,14 +18,18 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from servotrack.envs.track.files.points import PointScans
+from servotrack.envs.track.points.clutter_map import clutter_map, may_be_mapped
 from servotrack.envs.track.points.point_extent import check_scales, outlier_notes, period_of, region_of, side_of
 from servotrack.envs.track.points.point_model import LEAST_NOISE, PointModel, Units, position_noise, tracked
 from servotrack.estimators.compilation import njit
-from servotrack.estimators.types import Array
+from servotrack.estimators.rfs import Trajectory
+from servotrack.estimators.types import Array, Labels
 
 _ROUNDS = 3
 _FITTED_SCANS = 300
-"""Scans that the parameters are measured on, from the first one."""
+"""Scans that the parameters are measured on: the first ones in which tracks are found."""
+_PARTS = 20
+"""Largest number of such parts that are tried."""
 _CHANCE = 0.05
 """Largest probability that a neighbor so close is there by chance."""
 _GATE = 1e-3
@@ -32,6 +38,16 @@ _WINDOWS = (1, 2, 4, 8, 16, 30)
 """Numbers of scans in which the next measurement of a target is searched."""
 _SPEEDS = (1e-6, 10.0)
 """Least and largest speed in sides of the region per scan."""
+_EQUAL = 1e-3
+"""Difference of log-likelihoods that decides nothing."""
+_STRAY = 0.01
+"""Probability that a measurement of a track belongs to another target."""
+_LEAST_LENGTH = 4
+"""Measurements of a track from which it is used."""
+_MANEUVER, _AGILITIES, _MORE_AGILE = 0.05, (5.0, 20.0, 80.0), (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Probability of a maneuver in one period, and factors on its process noise that are tried first, and then."""
+_EVIDENCE = 10.0
+"""Log-likelihood by which maneuvers must explain the tracks better."""
 _FIRST_SHARE = 0.1
 """Share of the scans whose new tracks are targets that were there before."""
 
@@ -51,25 +67,61 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
     check_scales(points)
     units = Units.of(points)
     scaled = units.points(points)
-    # An hour without a target has nothing to measure.
-    first = next(k for k, scan in enumerate(scaled.scans) if len(scan))
-    part = slice(max(min(first, len(scaled.times) - 2), 0), first + _FITTED_SCANS)
-    few = scaled._replace(
-        times=scaled.times[part],
-        scans=scaled.scans[part],
-        covariances=None if scaled.covariances is None else scaled.covariances[part],
-    )
-    model, notes = _first_guess(few)
-    for _ in range(_ROUNDS):
-        found = _counted(few, model)
-        if found is None:
-            notes.append("no track of four measurements was found: noise and rates are guesses")
+    guesses = []
+    for few in _parts(scaled):
+        guess, notes = _first_guess(few)
+        guesses.append((guess, notes))
+        model = _mapped(few, guess, _refined(few, guess))
+        if model is not None:
+            model = _maneuvering(few, model)
             break
-        model = found
+    else:
+        model, notes = guesses[0]
+        notes.append("no track of four measurements was found: noise and rates are guesses")
     notes += outlier_notes(points)
     # The tracker's region holds the points outside of the measured part, too.
     low, high = region_of(scaled)
     return units.model(model._replace(low=low, high=high), back=True), notes
+
+
+def _parts(points: PointScans) -> Iterator[PointScans]:
+    """Parts of `_FITTED_SCANS` scans: the first with a point, then later ones, all or so many over the whole time."""
+    first = next(k for k, scan in enumerate(points.scans) if len(scan))
+    starts = np.arange(min(first, len(points.times) - 2), len(points.times) - 1, _FITTED_SCANS)
+    # An hour without a target has nothing to measure.
+    for start in starts[np.unique(np.linspace(0, len(starts) - 1, min(len(starts), _PARTS)).round().astype(int))]:
+        part = slice(start, start + _FITTED_SCANS)
+        if any(map(len, points.scans[part])):
+            yield points._replace(
+                times=points.times[part],
+                scans=points.scans[part],
+                covariances=None if points.covariances is None else points.covariances[part],
+            )
+
+
+def _refined(points: PointScans, model: PointModel) -> PointModel | None:
+    """Parameters after rounds of tracking and counting; None if a round finds no track of four measurements."""
+    for _ in range(_ROUNDS):
+        own = _own_measurements(points, model)
+        if not own.long:
+            return None
+        model = _fitted(points, model, own)
+    return model
+
+
+def _mapped(points: PointScans, guess: PointModel, found: PointModel | None) -> PointModel | None:
+    """The model, or one whose clutter is denser in some places, whichever explains the points better."""
+    everything = np.concatenate(points.scans)
+    density = clutter_map(everything, guess.low, guess.high)
+    if density is None or not may_be_mapped(everything, guess.low, guess.high):
+        return found
+    other = _refined(points, guess._replace(clutter_map=density))
+    if other is None or other.clutter_map is None:
+        return found
+    if found is None:
+        return other
+    scores = [_score(points, one, _own_measurements(points, one)) for one in (found, other)]
+    return other if scores[1] > scores[0] + _EVIDENCE else found
 
 
 def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
@@ -78,15 +130,14 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     count = sum(map(len, points.scans)) / len(points.scans)
     # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
     searched = {window: _chains(points, low, high, window) for window in _WINDOWS if window < len(points.scans)}
-    window = max(searched, key=lambda one: len(searched[one]))
-    chains = searched[window]
+    chains = max(searched.values(), key=len)
     notes = []
     if len(chains):
-        bends, speeds = chains[:, 0], chains[:, 1]
+        bends, speeds, gaps = chains.T
         noise = max(float(np.median(bends)) / 0.6745, 1e-6 * side)
         speed = _bounded_speed(points, float(np.sqrt(np.mean(speeds**2))))
     else:
-        noise, speed = 1e-3 * side, 1e-2 * side / period
+        noise, speed, gaps = 1e-3 * side, 1e-2 * side / period, np.ones(1)
         notes.append(
             "no three measurements in a row lie close enough together: the first guess is of the region's size"
         )
@@ -94,6 +145,8 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
         covariances = np.concatenate([scan for scan in points.covariances if len(scan)])
         noise = float(np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)) / points.dimensions))
         noise = max(noise, LEAST_NOISE * side)
+    # A target that is detected in every third scan leaves gaps of three scans.
+    gap = float(np.mean(gaps))
     return (
         PointModel(
             period=period,
@@ -101,10 +154,10 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
             high=high,
             process_noise=noise / period**1.5,
             measurement_noise=None if points.covariances is not None else noise,
-            detection=0.9 / window,
+            detection=0.9 / gap,
             clutter_rate=max(0.3 * count, 0.01),
             births=0.1,
-            survival=0.99 ** (1.0 / window),
+            survival=0.99 ** (1.0 / gap),
             speed=speed,
         ),
         notes,
@@ -112,11 +165,15 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
 
 
 def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
-    """Departure from a straight line per coordinate, in measurement errors, and speed, of chains of three. (k, 2)."""
+    """Chains of three: departure from a straight line, in measurement errors, speed, and scans per step. (k, 3).
+
+    A row for each coordinate of each chain.
+    """
     d = points.dimensions
     size = [len(scan) for scan in points.scans]
     start = np.concatenate([[0], np.cumsum(size)])
     place, time = np.concatenate(points.scans), np.repeat(points.times, size)
+    scan = np.repeat(np.arange(len(size)), size)
     density = len(place) / len(size) * window / float(np.prod(high - low))
     # Volume of a ball in which a neighbor by chance has the probability _CHANCE.
     ball = {1: 2.0, 2: math.pi, 3: 4.0 * math.pi / 3.0}[d]
@@ -139,12 +196,32 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
         ratio = second / first
         bend = (place[last] - place[j] - ratio * (place[j] - place[i])) / math.sqrt(1.0 + (1.0 + ratio) ** 2 + ratio**2)
         velocity = (place[last] - place[i]) / (first + second)
-        found += [(abs(a), v) for a, v in zip(bend, velocity, strict=True)]
-    return np.array(found).reshape(-1, 2)
+        gap = 0.5 * (scan[last] - scan[i])
+        found += [(abs(a), v, gap) for a, v in zip(bend, velocity, strict=True)]
+    return np.array(found).reshape(-1, 3)
 
 
-def _counted(points: PointScans, model: PointModel) -> PointModel | None:
-    """Parameters from the tracks that a model finds; None without tracks of four measurements."""
+class _Own(NamedTuple):
+    """The tracks that a model finds, and their own measurements.
+
+    Attributes:
+        trajectories: The tracks.
+        sequences: Times and positions of the measurements of each track.
+        free: Positions of all other points. Shape (k, d).
+    """
+
+    trajectories: list[Trajectory]
+    sequences: list[list[tuple[float, Array]]]
+    free: Array
+
+    @property
+    def long(self) -> list[list[tuple[float, Array]]]:
+        """Sequences that are long enough to be used."""
+        return [one for one in self.sequences if len(one) >= _LEAST_LENGTH]
+
+
+def _own_measurements(points: PointScans, model: PointModel) -> _Own:
+    """Track the points, and assign to each track its own."""
     trajectories = tracked(points, model)
     d, scans = points.dimensions, len(points.times)
     entries = list(range(0, 2 * d, 2))
@@ -155,7 +232,7 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
             present[row_of[time]].append((t, state[entries], P[np.ix_(entries, entries)]))
     own: list[list[tuple[float, Array]]] = [[] for _ in trajectories]
     R = np.eye(d) * position_noise(points, model) ** 2
-    limit, taken = float(chdtri(d, _GATE)), 0
+    limit, free = float(chdtri(d, _GATE)), [np.ones(len(scan), np.bool_) for scan in points.scans]
     for k, scan in enumerate(points.scans):
         if not len(scan) or not present[k]:
             continue
@@ -168,31 +245,80 @@ def _counted(points: PointScans, model: PointModel) -> PointModel | None:
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             if cost[row, column] <= limit:
                 own[present[k][row][0]].append((float(points.times[k]), scan[column]))
-                taken += 1
-    long = [sequence for sequence in own if len(sequence) >= 4]
-    if not long:
-        return None
+                free[k][column] = False
+    rest = np.concatenate([scan[left] for scan, left in zip(points.scans, free, strict=True)])
+    return _Own(trajectories, own, rest)
+
+
+def _maneuvering(points: PointScans, model: PointModel) -> PointModel:
+    """The model with maneuvers, if tracks that may maneuver are so much more likely with them; else as it is."""
+    most, best = _EVIDENCE, None
+    tracks = tracked(points, model)
+    # A track that breaks at a maneuver ends, and another one begins.
+    if not tracks or min(one.times[-1] for one in tracks) >= max(one.times[0] for one in tracks):
+        return model
+    for agility in _AGILITIES:
+        trial = model._replace(maneuver=_MANEUVER, agility=agility)
+        own = _own_measurements(points, trial)
+        if not own.long:
+            continue
+        gain = _most_likely(points, trial, own)[2] - _most_likely(points, model, own)[2]
+        if gain > most:
+            most, best = gain, _fitted(points, trial, own)
+    if best is None:
+        return model
+    # Tracks that break at a maneuver do not show it, so that it is the breaks that say how agile the targets are.
+    score, chosen = -math.inf, best
+    for factor in _MORE_AGILE:
+        trial = best._replace(agility=factor * best.agility)
+        own = _own_measurements(points, trial)
+        if not own.long:
+            continue
+        trial = _fitted(points, trial, own)
+        explained = _score(points, trial, own)
+        if explained > score:
+            score, chosen = explained, trial
+    return chosen
+
+
+def _score(points: PointScans, model: PointModel, own: _Own) -> float:
+    """Log-probability of the points if the tracks are the targets and the rest is clutter, with births and ends."""
+    volume = float(np.prod(model.high - model.low))
+    scans = sum(round((one.times[-1] - one.times[0]) / model.period) for one in own.trajectories)
+    taken = sum(map(len, own.long))
+    rest = sum(map(len, points.scans)) - taken
+    return (
+        _likelihood(points, model, own)
+        + len(own.long) * (math.log(model.births / volume) + math.log(1.0 - model.survival))
+        + taken * math.log(model.detection)
+        + max(scans - taken, 0) * math.log(1.0 - model.detection)
+        + rest * math.log(model.clutter_rate / volume)
+        + (0.0 if model.clutter_map is None else float(np.log(model.clutter_map(own.free)).sum()))
+    )
+
+
+def _fitted(points: PointScans, model: PointModel, own: _Own) -> PointModel:
+    """Parameters that fit the tracks that a model has found."""
+    scans, trajectories = len(points.times), own.trajectories
     # The first and the last scan of a track are detections, since tracks are made of them.
     inside = sum(max(len(one) - 2, 0) for one in trajectories)
-    detected = sum(max(len(sequence) - 2, 0) for sequence in own)
-    alive = sum(len(one) for one in trajectories)
-    late = sum(one.times[0] > points.times[int(_FIRST_SHARE * scans)] for one in trajectories)
+    detected = sum(max(len(sequence) - 2, 0) for sequence in own.sequences)
+    # Per interval, not per scan: sensors that follow one another closely do not make targets die sooner.
+    alive = sum(float(one.times[-1] - one.times[0]) / model.period + 1.0 for one in trajectories)
+    begin = float(points.times[int(_FIRST_SHARE * scans)])
+    watched = max((float(points.times[-1]) - begin) / model.period, 1.0)
+    late = sum(one.times[0] > begin for one in trajectories)
     deaths = sum(one.times[-1] < points.times[-1] for one in trajectories)
-    size = np.array([len(sequence) for sequence in long])
-    process, measurement = _most_likely(
-        np.array([time for sequence in long for time, _ in sequence]),
-        np.array([place for sequence in long for _, place in sequence]),
-        np.concatenate([[0], np.cumsum(size)]),
-        model,
-        position_noise(points, model),
-    )
+    process, measurement, _ = _most_likely(points, model, own)
     velocities = np.concatenate([one.states[:, 1::2] for one in trajectories])
     return model._replace(
+        agility=model.agility * model.process_noise / process if model.maneuver > 0.0 else 1.0,
         process_noise=process,
         measurement_noise=None if model.measurement_noise is None else max(measurement, LEAST_NOISE * side_of(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
-        clutter_rate=max((sum(map(len, points.scans)) - taken) / scans, 0.01),
-        births=float(np.clip((late + 0.5) / ((1.0 - _FIRST_SHARE) * scans), 1e-3, 10.0)),
+        clutter_rate=max(len(own.free) / scans, 0.01),
+        clutter_map=model.clutter_map and clutter_map(own.free, model.low, model.high),
+        births=float(np.clip((late + 0.5) / watched, 1e-3, 10.0)),
         survival=float(np.clip(1.0 - (deaths + 0.5) / (alive + 1.0), 0.5, 0.9999)),
         speed=_bounded_speed(points, float(np.sqrt(np.mean(velocities**2)))),
     )
@@ -203,25 +329,52 @@ def _bounded_speed(points: PointScans, speed: float) -> float:
     return min(max(speed, least), most)
 
 
-def _most_likely(times: Array, places: Array, start: Array, model: PointModel, noise: float) -> tuple[float, float]:
-    """Process and measurement noise of greatest likelihood, on a grid of factors that is refined twice."""
-    best = np.log2([model.process_noise, noise])
+def _most_likely(points: PointScans, model: PointModel, own: _Own) -> tuple[float, float, float]:
+    """Process and measurement noise of greatest likelihood, on a grid of factors that is refined twice, and its log."""
+    arrays = _arrays(own)
+    # The noise of a maneuver stays.
+    most_noise = model.agility * model.process_noise
+    best, most = np.log2([model.process_noise, position_noise(points, model)]), -np.inf
     fixed = model.measurement_noise is None
     for width, step in ((6.0, 2.0), (2.0, 0.5), (0.5, 0.125)):
         factors = np.arange(-width, width + 0.5 * step, step)
         center, most = best, -np.inf
-        for a in factors:
-            for b in (0.0,) if fixed else factors:
+        # Where the likelihood does not change any more, rounding must not choose: the larger noise stays.
+        for a in factors[::-1]:
+            for b in (0.0,) if fixed else factors[::-1]:
                 trial = center + np.array([a, b])
-                value = _log_likelihood(times, places, start, 2.0 ** trial[0], 2.0 ** trial[1], model.speed)
-                if value > most:
+                process, noise = 2.0 ** trial[0], 2.0 ** trial[1]
+                agility = most_noise / process
+                value = _log_likelihood(*arrays, process, noise, model.speed, model.maneuver, agility, model.period)
+                if value > most + _EQUAL:
                     best, most = trial, value
-    return float(2.0 ** best[0]), float(2.0 ** best[1])
+    return float(2.0 ** best[0]), float(2.0 ** best[1]), most
+
+
+def _likelihood(points: PointScans, model: PointModel, own: _Own) -> float:
+    """Log-likelihood of the tracks' measurements with the noises of a model."""
+    noises = model.process_noise, position_noise(points, model)
+    motion = model.speed, model.maneuver, model.agility, model.period
+    return float(_log_likelihood(*_arrays(own), *noises, *motion))
+
+
+def _arrays(own: _Own) -> tuple[Array, Array, Labels]:
+    """Times and positions of the tracks' measurements, sequence by sequence, and the start of each sequence."""
+    times = np.array([time for sequence in own.long for time, _ in sequence])
+    places = np.array([place for sequence in own.long for _, place in sequence])
+    return times, places, np.concatenate([[0], np.cumsum([len(sequence) for sequence in own.long])])
 
 
 @njit(cache=True, nogil=True)
-def _log_likelihood(times, places, start, process, noise, speed):  # type: ignore[no-untyped-def]
-    """Log-likelihood of measurement sequences under nearly constant velocity, axis by axis."""
+def _log_likelihood(  # type: ignore[no-untyped-def]
+    times, places, start, process, noise, speed, maneuver, agility, period
+):
+    """Log-likelihood of measurement sequences under nearly constant velocity, axis by axis.
+
+    Both cases of a step, with a maneuver and without, are summed over; the likelier one goes on. A measurement is an
+    outlier with the probability `_STRAY`, with Cauchy's density on the scale of the prediction: one that belongs to
+    another target must not pass for noise. After two in a row the sequence begins anew.
+    """
     total = 0.0
     R = noise * noise
     for sequence in range(start.shape[0] - 1):
@@ -229,6 +382,7 @@ def _log_likelihood(times, places, start, process, noise, speed):  # type: ignor
             first = start[sequence]
             x, v = places[first, axis], 0.0
             a, b, c = R, 0.0, speed * speed
+            strays = 0
             for k in range(first + 1, start[sequence + 1]):
                 t = times[k] - times[k - 1]
                 x += t * v
@@ -237,7 +391,30 @@ def _log_likelihood(times, places, start, process, noise, speed):  # type: ignor
                 c += process * process * t
                 S = a + R
                 error = places[k, axis] - x
-                total -= 0.5 * (math.log(2.0 * math.pi * S) + error * error / S)
+                square = error * error / S
+                own = (1.0 - _STRAY) * math.exp(-0.5 * square) / math.sqrt(2.0 * math.pi)
+                other = _STRAY / (math.pi * (1.0 + square))
+                if maneuver > 0.0:
+                    turns = 1.0 - (1.0 - maneuver) ** (t / period)
+                    extra = (agility * agility - 1.0) * process * process
+                    wide = S + extra * t**3 / 3.0
+                    agile = math.exp(-0.5 * error * error / wide) / math.sqrt(2.0 * math.pi * wide / S)
+                    agile *= (1.0 - _STRAY) * turns
+                    own = own * (1.0 - turns) + agile
+                    # A mean of both cases would be too wide after every step.
+                    if agile > 0.5 * own:
+                        a += extra * t**3 / 3.0
+                        b += extra * t**2 / 2.0
+                        c += extra * t
+                total += math.log(own + other) - 0.5 * math.log(S)
+                S = a + R
+                if other > own:
+                    strays += 1
+                    if strays == 2:
+                        x, v = places[k, axis], 0.0
+                        a, b, c, strays = R, 0.0, speed * speed, 0
+                    continue
+                strays = 0
                 x += a / S * error
                 v += b / S * error
                 c -= b * b / S

@@ -1,4 +1,4 @@
-"""Extent of recorded points in space and time: their region, their median step, and what is wrong with either."""
+"""Extent of recorded points in space and time: their region, their usual step, and what is wrong with either."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ _FAR, _MOST = 30.0, 0.95
 _SMALLEST = 1e-15
 """Smallest median time step, s, and extent of all points, m."""
 _STEPS = (1e-6, 1e9)
-"""Least time step and longest time of a file, in median steps."""
+"""Least time step and longest time of a file, in usual steps."""
+_USUAL = 0.9
+"""Quantile of the time steps that is the usual one: sensors that follow one another closely have many short steps."""
 
 
 def period_of(points: PointScans) -> float:
-    """Median time between scans, s."""
-    return float(np.median(np.diff(points.times)))
+    """Usual time between scans, s: nine of ten steps are at most as long."""
+    return float(np.quantile(np.diff(points.times), _USUAL, method="lower"))
 
 
 def side_of(points: PointScans) -> float:
@@ -52,22 +54,22 @@ def scores_cutoff(low: Array, high: Array) -> float:
 
 def check_scales(points: PointScans) -> None:
     """Raise a SequenceError if time steps or extent are so small, or differ so much, that rounding would decide."""
-    steps, median, side = np.diff(points.times), period_of(points), side_of(points)
-    if min(median, side) < _SMALLEST:
+    steps, usual, side = np.diff(points.times), period_of(points), side_of(points)
+    if min(usual, side) < _SMALLEST:
         raise SequenceError(
-            f"the median time step and the extent of all points must be at least {_SMALLEST:g}, got {median:g} s and "
+            f"the usual time step and the extent of all points must be at least {_SMALLEST:g}, got {usual:g} s and "
             f"{side:g} m; give seconds and meters"
         )
-    if steps.min() < _STEPS[0] * median:
+    if steps.min() < _STEPS[0] * usual:
         at = float(points.times[int(steps.argmin())])
         raise SequenceError(
-            f"times must be at least {_STEPS[0]:g} of the median step of {median:g} s apart, got {steps.min():g} s "
+            f"times must be at least {_STEPS[0]:g} of the usual step of {usual:g} s apart, got {steps.min():g} s "
             f"after time {at!r}; give the points of one scan one time"
         )
     span = points.times[-1] - points.times[0]
-    if span > _STEPS[1] * median:
+    if span > _STEPS[1] * usual:
         raise SequenceError(
-            f"times must span at most {_STEPS[1]:g} median steps, got {span:g} s and a median of {median:g} s; split "
+            f"times must span at most {_STEPS[1]:g} usual steps, got {span:g} s and steps of {usual:g} s; split "
             "the file"
         )
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from servotrack.envs.track.files.points import PointScans
+from servotrack.envs.track.points.clutter_map import ClutterMap, MappedClutter
 from servotrack.envs.track.points.point_extent import bounds_of, period_of, side_of
 from servotrack.estimators.rfs import (
     Birth,
@@ -26,6 +27,8 @@ _LAG_DETECTIONS = 5.0
 """Detections of a target that the lag should hold."""
 LEAST_EXISTENCE = 1e-5
 """Tracks of less probability are dropped. A first detection in much clutter is less than 0.001 probable."""
+_LARGEST_NOISE = 1e4
+"""Largest standard deviation of a measurement as a share of the region's side: it says nothing either way."""
 LEAST_NOISE = 1e-7
 """Least standard deviation of a measurement as a share of the region's side: below it rounding decides."""
 
@@ -43,6 +46,9 @@ class PointModel(NamedTuple):
         births: Mean number of new targets per scan.
         survival: Probability that a target survives one scan.
         speed: Root mean square of a coordinate of the velocity, m/s.
+        maneuver: Probability of a maneuver in one period; 0 if the points show none.
+        agility: Factor on the process noise in a maneuver.
+        clutter_map: Density of clutter over the region; None if it is uniform.
     """
 
     period: float
@@ -55,6 +61,9 @@ class PointModel(NamedTuple):
     births: float
     survival: float
     speed: float
+    maneuver: float = 0.0
+    agility: float = 1.0
+    clutter_map: ClutterMap | None = None
 
 
 class Units(NamedTuple):
@@ -89,7 +98,7 @@ class Units(NamedTuple):
     def model(self, model: PointModel, *, back: bool = False) -> PointModel:
         """Model in these units, or from them back in s and m."""
         time, length = (1.0 / self.time, 1.0 / self.length) if back else (self.time, self.length)
-        noise = model.measurement_noise
+        noise, density = model.measurement_noise, model.clutter_map
         shift = self.origin if back else -self.origin / self.length
         return model._replace(
             period=model.period / time,
@@ -98,6 +107,8 @@ class Units(NamedTuple):
             process_noise=model.process_noise / length * time**1.5,
             measurement_noise=None if noise is None else noise / length,
             speed=model.speed / length * time,
+            clutter_map=density
+            and density._replace(low=density.low / length + shift, high=density.high / length + shift),
         )
 
     def back(self, trajectory: Trajectory) -> Trajectory:
@@ -126,14 +137,17 @@ def tracked(points: PointScans, model: PointModel) -> list[Trajectory]:
 
 def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
     center, covariance = birth_place(model)
+    intensity = model.clutter_rate / float(np.prod(model.high - model.low))
     return TrajectoryPMB(
         motion_of(points, model),
         Birth(np.array([min(model.births, 1.0)]), center[None], covariance),
-        clutter_intensity=model.clutter_rate / float(np.prod(model.high - model.low)),
+        clutter_intensity=intensity if model.clutter_map is None else MappedClutter(intensity, model.clutter_map),
         survival=model.survival,
         detection=model.detection,
         reduction=Reduction(components=5, existence=LEAST_EXISTENCE),
         lag=smoothing_lag(points, model),
+        maneuver=model.maneuver,
+        agility=model.agility,
     )
 
 
@@ -162,7 +176,8 @@ def position_noise(points: PointScans, model: PointModel) -> float:
     """Standard deviation of a usual measurement's coordinate, m."""
     if model.measurement_noise is not None:
         return model.measurement_noise
-    return float(np.sqrt(np.mean([np.trace(R) / len(R) for scan in points.covariances or [] for R in scan])))
+    usual = float(np.sqrt(np.mean([np.trace(R) / len(R) for scan in points.covariances or [] for R in scan])))
+    return min(usual, _LARGEST_NOISE * side_of(points))
 
 
 def _noises(points: PointScans, usual: float) -> list[Array] | None:
@@ -177,12 +192,8 @@ def _noises(points: PointScans, usual: float) -> list[Array] | None:
     found = []
     for scan in points.covariances:
         # Beyond many times the region a covariance says nothing, however large.
-        scan = (
-            scan
-            * np.minimum(1.0, (1e4 * side_of(points)) ** 2 / np.maximum(np.trace(scan, axis1=1, axis2=2), 1e-300))[
-                :, None, None
-            ]
-        )
+        total = np.maximum(np.trace(scan, axis1=1, axis2=2), 1e-300)
+        scan = scan * np.minimum(1.0, (_LARGEST_NOISE * side_of(points)) ** 2 / total)[:, None, None]
         largest = np.abs(scan).max(axis=(1, 2), initial=0.0)
         least = np.maximum((LEAST_NOISE * side_of(points)) ** 2, 1e-8 * np.maximum(largest, usual**2))
         values = np.linalg.eigvalsh(scan)[:, 0] if len(scan) else largest
