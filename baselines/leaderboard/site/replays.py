@@ -51,8 +51,8 @@ _WATCHERS: Mapping[str, Callable[[Any, int], Watcher]] = {
 
 
 def can_replay(cell: CellResults) -> bool:
-    """Return True if the page can draw the world of these results."""
-    return cell.kind in _WATCHERS
+    """Return True if the page can draw the world of these results; recordings of people take too long to play again."""
+    return cell.kind in _WATCHERS and not (cell.kind == "people" and cell.env_kwargs.get("source"))
 
 
 @dataclass(frozen=True)

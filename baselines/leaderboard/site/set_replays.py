@@ -31,6 +31,7 @@ SCAN_SHARE = 1 / 128
 ERROR_SHARE = 1 / 400
 """Rounding of errors, in cut-offs."""
 _PADDING = 0.03
+_LEAST_WINDOW = 4
 
 
 @dataclass(frozen=True)
@@ -163,8 +164,12 @@ class SetMotion:
     def packed(self, packer: Packer) -> dict[str, Any]:
         """Return the answers for the page; `tracks` is None if they are the measurements."""
         errors = np.where(np.isnan(self.errors), 0.0, self.errors)
+        width, window = self.scene.width, self.scene.window
+        # The distance of an answer far outside of the window does not show.
+        low, high = window.min() - width, window.max() + width
+        tracks = [Track(track.steps, np.clip(track.states, low, high)) for track in self.tracks]
         return {
-            "tracks": None if self._copies else _packed(packer, self.tracks, self.scene.width * TRACK_SHARE),
+            "tracks": None if self._copies else _packed(packer, tracks, width * TRACK_SHARE),
             "errors": packer.add(errors, self.scene.cutoff * ERROR_SHARE),
         }
 
@@ -245,7 +250,7 @@ class SetWatcher:
         world, steps = self._world, self._errors.shape[1]
         if isinstance(world, PeopleWorld):
             truth = world.true_tracks(row)
-            form: Form = "boxes" if truth and truth[0].states.shape[1] == 4 else "points"
+            form: Form = "boxes" if world.scorer.estimates.shape[-1] == 4 else "points"
             height, width = world.images[row].shape[:2]
             window = np.array([[0.0, 0.0], [width, height]])
             return SetScene(form, window, steps, self._rate, world.cutoff, "" if form == "boxes" else "px", truth, [])
@@ -257,7 +262,8 @@ class SetWatcher:
         scans = self._scans[row][:steps] if tracks.shape[-1] == 2 else []
         places = np.concatenate([np.zeros((0, tracks.shape[-1])), *(track.states for track in truth), *scans])
         low, high = (places.min(axis=0), places.max(axis=0)) if len(places) else (np.zeros(1), np.ones(1))
-        reach = max(float((high - low).max()), 1e-9) * (0.5 + _PADDING)
+        # A few cut-offs at least: nothing may move in a scene.
+        reach = max(float((high - low).max()), _LEAST_WINDOW * world.cutoff) * (0.5 + _PADDING)
         middle = np.resize((low + high) / 2, 2)
         form, unit = ("points", "m") if tracks.shape[-1] == 2 else ("bearings", "deg")
         window = np.array([middle - reach, middle + reach])

@@ -22,6 +22,7 @@ from servotrack.baselines.leaderboard.site.entries import Entry, Proof, summarie
 from servotrack.baselines.leaderboard.site.tables import agent_facts, episode_values, overall_table, task_table
 from servotrack.baselines.leaderboard.summary import TaskSummary, stamp
 from servotrack.baselines.reporting.files import atomic_path
+from servotrack.envs.track.files.recorded import SequenceError
 
 LARGEST_SITE = 1_450_000
 """Size that the site is kept below by showing fewer shared seeds, bytes."""
@@ -136,7 +137,11 @@ def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
         entry = task.entries[agent]
         whole = dataclasses.replace(entry.cell, rows=[*entry.cell.rows, *entry.sealed])
         seeds = whole.seeds if entry.traced else list(labels)
-        made = replays.replay(whole, entry.actions(whole, sorted(seeds)))
+        try:
+            made = replays.replay(whole, entry.actions(whole, sorted(seeds)))
+        except SequenceError:
+            # A recording that has gone leaves the table without episodes.
+            continue
         task.motions[agent] = {seed: made.motions[seed] for seed in labels if seed in made.motions}
         task.scenes |= {seed: made.scenes[seed] for seed in task.motions[agent]}
         if entry.traced:

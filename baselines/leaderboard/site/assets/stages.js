@@ -88,14 +88,15 @@
     const side = h("div", { class: "stage-side" },
       strip(errors, `${what} of each scan${scene.unit ? `, ${scene.unit}` : ""}`),
       strip(counts, "number of targets: true ones shaded, reported ones as a line"));
-    return { node: h("div", { class: "stage sets" }, h("figure", { class: "above" }, map), side), map, counts, errors };
+    return { node: h("div", { class: "stage sets" }, h("figure", { class: "above" }, map, scene.form === "bearings" && h("figcaption", {}, "bearing to the right, time downward")), side), map, counts, errors };
   }
 
   function setsSentence(replay, name) {
     const { scene, errors } = replay, mean = (values) => values.reduce((sum, value) => sum + value, 0) / Math.max(values.length, 1);
     const worst = errors.indexOf(Math.max(...errors));
     const tracks = (runs) => new Set(runs.map((run) => run.id)).size;
-    return `${name}: ${mean(replay.numbers).toFixed(1)} targets reported where ${mean(scene.numbers).toFixed(1)} are; ${tracks(replay.runs)} tracks for ${tracks(scene.truth)} targets; ` +
+    const many = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
+    return `${name}: ${mean(replay.numbers).toFixed(1)} targets reported where ${mean(scene.numbers).toFixed(1)} are; ${many(tracks(replay.runs), "track")} for ${many(tracks(scene.truth), "target")}; ` +
       `the error of a scan is ${ns.withUnit(mean(Array.from(errors)), ns.sets.measure(scene))}, at worst ${ns.withUnit(errors[worst], ns.sets.measure(scene))} in scan ${worst + 1}.`;
   }
 

@@ -44,7 +44,7 @@
     return {
       title,
       node: [
-        h("div", { class: "lede" }, h("h1", {}, agent, h("span", { class: "soft" }, ` ${kind}${replay.labels.length ? `, seed ${replay.seed}` : ""}${other ? `, beside ${other.agent}` : ""}`)), h("p", {}, `${where.world.name}, level ${task.label}. `, shown.map(({ replay: one, name }) => `${ns.stages.of(one.scene).sentence(one, name)} `))),
+        h("div", { class: "lede" }, h("h1", {}, agent, h("span", { class: "soft" }, ` ${kind}${replay.labels.length ? `, seed ${replay.seed}` : ""}${other ? `, beside ${other.agent}` : ""}`)), h("p", {}, `${task.level === null ? task.name : `${where.world.name}, level ${task.label}`}. `, shown.map(({ replay: one, name }) => `${ns.stages.of(one.scene).sentence(one, name)} `))),
         ns.parts.tabs(where, "watch", { agent, episode: which }),
         h("div", { class: "watching" }, h("div", {}, legend, player.node), side(where, content, replay, agent)),
       ],
