@@ -111,7 +111,8 @@ class World:
         recorder: "module:callable" of the score recorder, called with (rows, observation, max_steps).
         cards: "module:attribute" of the kind's agent cards.
         metrics: Metrics shown before the headline.
-        anchors: Agents that scale errors to scores; None where the world has no score.
+        anchors: Agents that scale errors to scores; None where tables have no score.
+        frozen_anchors: The same for frozen suites, which have a score in every world; None: `anchors`.
         bounds: Bounds of the column "x bound", at most one for an id. One of the anchors' column is the score 1.
         ranges: Lowest and highest possible value of columns in the rows of results; results outside are refused.
     """
@@ -125,6 +126,7 @@ class World:
     cards: str | None = None
     metrics: tuple[RankingMetric, ...] = ()
     anchors: ScoreAnchors | None = None
+    frozen_anchors: ScoreAnchors | None = None
     bounds: tuple[EpisodeBound, ...] = ()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -132,6 +134,11 @@ class World:
     def shown(self) -> tuple[RankingMetric, ...]:
         """All metrics in the order of the table's columns."""
         return (*self.metrics, self.headline)
+
+    @property
+    def suite_anchors(self) -> ScoreAnchors | None:
+        """Anchors of the score in frozen suites; None where no suite can have the world."""
+        return self.frozen_anchors or self.anchors
 
     def bound_of(self, env_id: str) -> EpisodeBound | None:
         """Return the bound of an id's episodes, None without one."""
@@ -194,6 +201,7 @@ WORLDS: Mapping[str, World] = {
             f"{_RECORDERS}.set_scores:SetScoreRecorder",
             f"{_AGENTS}.clutter.cards:CARDS",
             (RankingMetric("ospa", "OSPA", "m"),),
+            frozen_anchors=ScoreAnchors("ospa2", "random", "association-oracle", "known data association"),
             bounds=(
                 EpisodeBound(
                     "ClutterTracking-v0",

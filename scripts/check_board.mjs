@@ -25,7 +25,7 @@ if (screenshots) mkdirSync(screenshots, { recursive: true });
 const page = pathToFileURL(join(root, "index.html")).href;
 const faults = new Map();
 const fault = (kind, text) => faults.set(kind, [...(faults.get(kind) ?? []), text]);
-for (const kind of ["console errors", "axe violations", "wider than the page", "requests elsewhere", "stranger's task", "arm", "race", "size", "hostile names"]) faults.set(kind, []);
+for (const kind of ["console errors", "axe violations", "wider than the page", "requests elsewhere", "stranger's task", "keys", "arm", "race", "size", "hostile names"]) faults.set(kind, []);
 
 const sizeOf = (folder) => readdirSync(folder, { withFileTypes: true }).reduce((sum, entry) => sum + (entry.isDirectory() ? sizeOf(join(folder, entry.name)) : statSync(join(folder, entry.name)).size), 0);
 const size = sizeOf(root);
@@ -64,7 +64,11 @@ const views = await probe.evaluate(() => {
   for (const world of worlds) list.push([world.name, ns.address("board", { world: world.name })]);
   const world = worlds.find((one) => one.replays) ?? worlds[0], task = world.tasks[Math.min(3, world.tasks.length - 1)].name;
   list.push(["one level", ns.address("board", { task })], ["compare", ns.address("compare", { task })], ["cost", ns.address("compute", {})], ["tuning", ns.address("compute", { task, cost: "tuning" })], ["proof", "#/proof"]);
-  if (world.replays) list.push(["watch", ns.address("watch", { task, episode: "worst" })]);
+  for (const one of worlds.filter((given) => given.replays)) {
+    const watched = one.tasks[Math.min(3, one.tasks.length - 1)], [agent, other] = watched.rows.filter((row) => row.watch.length).map((row) => row.agent);
+    list.push([`watch ${one.name}`, ns.address("watch", { task: watched.name, agent, episode: "worst" })]);
+    if (other) list.push([`watch two in ${one.name}`, ns.address("watch", { task: watched.name, agent, episode: "worst", with: other })]);
+  }
   if (ns.raceable()) list.push(["race", "#/race"]);
   return list;
 });
@@ -110,6 +114,25 @@ for (const width of WIDTHS) {
     if (clicks > 3) fault("stranger's task", `${clicks} clicks`);
   } catch (error) {
     fault("stranger's task", `${width} px: ${error.message.split("\n")[0]}`);
+  }
+  await context.close();
+}
+
+// Every kind of replay is driven by keys alone, and says what it shows.
+{
+  const context = await browser.newContext({ viewport: { width: 1400, height: 900 }, reducedMotion: "reduce" });
+  const tab = await context.newPage();
+  watched(tab, () => "keys");
+  for (const [name, hash] of views.filter(([given]) => given.startsWith("watch "))) {
+    await open(tab, page, hash);
+    const said = () => tab.evaluate(() => document.querySelector("input[type=range]").getAttribute("aria-valuetext"));
+    const first = await said();
+    await tab.keyboard.press("ArrowRight");
+    const second = await said();
+    await tab.keyboard.press(" ");
+    await tab.waitForTimeout(600);
+    const third = await said();
+    if (!first || first === second || second === third) fault("keys", `${name}: ${first} | ${second} | ${third}`);
   }
   await context.close();
 }

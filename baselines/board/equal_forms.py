@@ -22,10 +22,16 @@ from servotrack.baselines.board.replay import ReplayError, replayed
 from servotrack.baselines.board.suites import Suite, SuiteCell
 from servotrack.estimators.types import Array
 
-REFERENCES = (
-    "kf", "lifted-kf", "broyden", "rls", "ukf-as-printed", "latency-bank-kf", "fixed-jacobian", "oracle", "random",
-)  # fmt: skip
-"""Agents whose scores make forms equal. More agents of other kinds make forms more equal for unknown agents."""
+REFERENCES: Mapping[str, tuple[str, ...]] = {
+    "servo": (
+        "kf", "lifted-kf", "broyden", "rls", "ukf-as-printed", "latency-bank-kf", "fixed-jacobian", "oracle", "random",
+    ),
+    "clutter": (
+        "gm-phd", "gm-cbmember", "pmb", "robust-pmb", "gnn", "raw-measurements", "association-oracle", "random",
+    ),
+}  # fmt: skip
+"""Agents of a kind of world whose scores make forms equal. More agents of other kinds make forms more equal for unknown
+agents."""
 FORMS = 4
 """Number of forms. Raising it hides more seeds from each agent, takes a larger pool, and leaves more draws to luck."""
 _SWEEPS = 40

@@ -18,6 +18,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields as dataclass_fields
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +140,7 @@ class MessageAgent:
         message, ended = "reset", False
         while not ended:
             place = f"{where}, step {len(points)}"
-            plain = {name: values[0].tolist() for name, values in observation.items()}
+            plain = _plain(observation)
             begin = time.perf_counter()
             self._send({"message": message, "observation": plain}, place)
             answer = self._answer(place)
@@ -172,14 +174,11 @@ class MessageAgent:
 
     def _action(self, line: bytes, shape: tuple[int, ...], place: str) -> NDArray[np.float64]:
         try:
-            values = parse_json(line)
-            valid = isinstance(values, list) and all(type(value) in (int, float) for value in values)
-            if not valid or len(values) != int(np.prod(shape)):
-                raise ValueError(f"an action is a list of {int(np.prod(shape))} numbers")
+            values = _checked_action(parse_json(line), shape)
         except ValueError as error:
             shown = printable(line[:_SHOWN].decode("utf-8", "replace").strip())
             raise self._failed(place, f"answered {shown!r} ({error})") from error
-        return np.array(values, dtype=np.float64).reshape(1, *shape)
+        return values[None]
 
     def _failed(self, place: str, what: str) -> MessageError:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -209,17 +208,62 @@ class MessageAgent:
         return False
 
 
+def _checked_action(answer: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return an answer as an action; rows that a set does not need may be missing at its end.
+
+    Raises:
+        ValueError: An answer of another form.
+    """
+    rows = answer if len(shape) == 2 else [answer]
+    most, width = shape if len(shape) == 2 else (1, int(np.prod(shape)))
+    if not (isinstance(rows, list) and len(rows) <= most and all(_are_numbers(row, width) for row in rows)):
+        form = f"at most {most} rows, each a list" if len(shape) == 2 else "a list"
+        raise ValueError(f"an action is {form} of {width} numbers")
+    action = np.zeros((most, width))
+    if rows:
+        action[: len(rows)] = rows
+    return action.reshape(shape)
+
+
+def _are_numbers(values: Any, count: int) -> bool:
+    return isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values)
+
+
+def _plain(observation: Any) -> Any:
+    """Return the first row of a batch of observations as lists of numbers, by name where they have names."""
+    if isinstance(observation, Mapping):
+        return {name: values[0].tolist() for name, values in observation.items()}
+    return observation[0].tolist()
+
+
 def _environment(suite: Suite, cell: SuiteCell, env: Any) -> dict[str, Any]:
     """Return the message about a cell: what every agent of this package may read from an environment."""
     actions, observations = env.single_action_space, env.single_observation_space
-    assert isinstance(actions, spaces.Box) and isinstance(observations, spaces.Dict)
-    return {
+    assert isinstance(actions, spaces.Box)
+    message = {
         "message": "environment",
         "suite": suite.name,
         "env_id": cell.env_id,
         "env_kwargs": dict(cell.env_kwargs),
         "low": actions.low.tolist(),
         "high": actions.high.tolist(),
-        "max_joint_rate": public_attribute(env, "max_joint_rate"),
-        "observation": {name: list(space.shape or ()) for name, space in observations.items()},
+        "observation": {name: list(space.shape or ()) for name, space in observations.items()}
+        if isinstance(observations, spaces.Dict)
+        else list(observations.shape or ()),
     }
+    # What an environment has of the attributes that agents may read.
+    for name in ("max_joint_rate", "scene_model"):
+        if (value := public_attribute(env, name)) is not None:
+            message[name] = _as_json(value)
+    return message
+
+
+def _as_json(value: Any) -> Any:
+    """Return a number, an array or a record as JSON holds it: fields by name, without functions and empty ones."""
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        fields = value._asdict()
+    elif is_dataclass(value):
+        fields = {each.name: getattr(value, each.name) for each in dataclass_fields(value)}
+    else:
+        return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+    return {name: _as_json(part) for name, part in fields.items() if part is not None and not callable(part)}

@@ -1,4 +1,6 @@
-"""Gain by lucky sealed seeds: `python -m servotrack.baselines.board.seed_luck [AGENT ...]`, by default unlike agents.
+"""Gain by lucky sealed seeds: `python -m servotrack.baselines.board.seed_luck [--suite NAME] [AGENT ...]`.
+
+Without agents: unlike ones, the reference agents of the suite and some others.
 
 A comment in an agent's file changes its digest, and with it the form that it plays. Authors may try many comments and
 keep the luckiest. The gain is the mean score on the luckiest form minus that on all, so no number of variants gains
@@ -11,6 +13,7 @@ by the reference agents other than the agent: the mean gain is that of an unknow
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import sys
 from collections.abc import Mapping, Sequence
@@ -27,7 +30,11 @@ from servotrack.estimators.types import Array
 VARIANTS = 10_000
 DIVISIONS = 5
 """Divisions whose mean gain is printed. Raising it takes longer."""
-AGENTS = (*REFERENCES, "latency-bank-lifted-kf", "level-kf")
+OTHERS: Mapping[str, tuple[str, ...]] = {
+    "servo": ("latency-bank-lifted-kf", "level-kf"),
+    "clutter": ("pmbm", "gm-phd-hmm"),
+}
+"""Agents of a kind of world that have no part in its forms."""
 MANY_FRESH = 400
 
 Scores = Mapping[str, Array]
@@ -99,13 +106,19 @@ def note_threshold(suite: Suite, scores: Sequence[Scores], fresh: int) -> float:
 
 def main(arguments: Sequence[str]) -> None:
     """Print the gains in each world."""
-    suite = load_suite("2027a")
-    agents = list(arguments) or list(AGENTS)
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("--suite", default="2027a")
+    parser.add_argument("agents", nargs="*")
+    chosen = parser.parse_args(arguments)
+    suite = load_suite(chosen.suite)
+    (kind,) = {cell.world.kind for cell in suite.cells}
+    references = REFERENCES[kind]
+    agents = chosen.agents or [*references, *OTHERS[kind]]
     worlds = list(dict.fromkeys(cell.env_id for cell in suite.cells))
     sealed = {cell.name: cell.sealed for cell in suite.cells}
     forms = {cell.name: cell.forms for cell in suite.cells}
     scores = {
-        agent: [scores_of(suite, agent, env_id) for env_id in worlds] for agent in dict.fromkeys([*REFERENCES, *agents])
+        agent: [scores_of(suite, agent, env_id) for env_id in worlds] for agent in dict.fromkeys([*references, *agents])
     }
     print("| agent | world | forms of the suite | equal forms by other agents | forms by chance | free seeds |")
     print("|---|---|---|---|---|---|")
@@ -113,7 +126,7 @@ def main(arguments: Sequence[str]) -> None:
         for k, env_id in enumerate(worlds):
             own = scores[agent][k]
             here = luckiest(form_means(own, forms))
-            others = [scores[other][k] for other in REFERENCES if other != agent]
+            others = [scores[other][k] for other in references if other != agent]
             gains = [here, gain_on_forms(own, others), gain_on_forms(own, []), gain_on_free_seeds(own, sealed)]
             print(f"| {agent} | {env_id} | " + " | ".join(f"{gain:+.4f}" for gain in gains) + " |", flush=True)
     for k, env_id in enumerate(worlds):

@@ -23,7 +23,7 @@ import numpy as np
 from servotrack.baselines.agents.protocol import Information
 from servotrack.baselines.agents.registry import AGENTS
 from servotrack.baselines.board.card import LARGEST_CARD, MOST_FILES, check_card
-from servotrack.baselines.board.replay import Episode
+from servotrack.baselines.board.replay import LONGEST_EPISODE, Episode
 from servotrack.baselines.board.sealed_seeds import agent_digest
 from servotrack.baselines.board.suites import MOST_EPISODES, Suite, SuiteCell, load_suite
 from servotrack.baselines.board.trace_files import LARGEST_TRACE, Trace, decoded
@@ -44,7 +44,6 @@ LARGEST_AGENT_FILE = 20_000_000
 """Largest accepted size of a file of an agent, bytes."""
 LARGEST_AGENT = 40_000_000
 """Largest accepted size of all files of an agent, bytes."""
-LONGEST_EPISODE = 100_000
 _MOST_ENTRIES = MOST_FILES + 250
 
 
@@ -303,8 +302,8 @@ def _parsed_rows(content: bytes, card: Mapping[str, Any], cell: SuiteCell) -> di
         raise ValueError("columns must be a list of names")
     if len(set(columns)) != len(columns) or not {"seed", "return", "length"} <= set(columns) or len(columns) > 50:
         raise ValueError("columns must be different, at most 50, with seed, return and length")
-    if (ends := cell.world.anchors) is not None and ends.column not in columns:
-        raise ValueError(f"columns must have {ends.column}")
+    if cell.ends.column not in columns:
+        raise ValueError(f"columns must have {cell.ends.column}")
     rows: dict[Part, list[Row]] = {}
     for part in PARTS:
         listed = document[part]

@@ -20,7 +20,7 @@ from servotrack.baselines.evaluation import seeds as seed_ranges
 from servotrack.baselines.evaluation.episodes import EpisodeRecorder
 from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.baselines.reporting.files import ResultsError, read_strict_yaml
-from servotrack.baselines.worlds import World, describe_environment, world_of_id
+from servotrack.baselines.worlds import ScoreAnchors, World, describe_environment, world_of_id
 from servotrack.estimators.types import Array, Mask
 
 FORMAT, FORMAT_VERSION = "servotrack-suite", 1
@@ -97,6 +97,13 @@ class SuiteCell:
         return world_of_id(self.env_id)
 
     @property
+    def ends(self) -> ScoreAnchors:
+        """Error that is scored, and the agents whose errors are the anchors."""
+        ends = self.world.suite_anchors
+        assert ends is not None
+        return ends
+
+    @property
     def public_seeds(self) -> list[int]:
         """Public test seeds: the first ones of the range that `servotrack bench` reports on."""
         return seed_ranges.take("test", self.public)
@@ -116,7 +123,7 @@ class SuiteCell:
         return _behavior(self.env_id, json.dumps(self.env_kwargs)) != self.behavior
 
     def scores(self, rows: Sequence[Mapping[str, Any]]) -> Array:
-        """Scores of episodes: 0 at the error of an agent without skill, 1 at the bound of all agents.
+        """Scores of episodes: 0 at the error of an agent without skill, 1 at the bound or at an agent that knows more.
 
         The anchors are frozen with the suite, so that no submission moves another one's score.
 
@@ -126,10 +133,8 @@ class SuiteCell:
         Returns:
             ln((e_0 + r) / (e + r)) / ln((e_0 + r) / (e_1 + r)) of each row, unclipped. Shape (len(rows),).
         """
-        ends = self.world.anchors
-        assert ends is not None
         lower, upper = (end + self.resolution for end in self.anchors)
-        errors = np.array([row[ends.column] for row in rows], dtype=np.float64) + self.resolution
+        errors = np.array([row[self.ends.column] for row in rows], dtype=np.float64) + self.resolution
         return np.log(lower / np.maximum(errors, LEAST_SHARE * upper)) / np.log(lower / upper)
 
 
@@ -243,7 +248,7 @@ def _check_cells(cells: Sequence[SuiteCell]) -> None:
                 f"forms of {cell.name} must be {len(known)}, numbered from 0, with equally many seeds each, at most "
                 f"{MOST_EPISODES}, got {dict(sorted(sizes.items()))}"
             )
-        if cell.world.anchors is None:
+        if cell.world.suite_anchors is None:
             raise ValueError(f"{cell.name} has no score")
         if not cell.anchors[1] < cell.anchors[0]:
             raise ValueError(f"anchors of {cell.name} must fall, got {cell.anchors}")
@@ -279,7 +284,8 @@ def behavior_of(env_id: str, env_kwargs: Mapping[str, Any]) -> str:
         recorder = EpisodeRecorder(_BEHAVIOR_SEEDS, env, observation)
         running: Mask = np.ones(len(_BEHAVIOR_SEEDS), dtype=bool)
         while not recorder.finished:
-            _add(digest, [observation[name][running] for name in sorted(observation)])
+            parts = observation if isinstance(observation, Mapping) else {"": observation}
+            _add(digest, [parts[name][running] for name in sorted(parts)])
             shares = draws.uniform(-0.3, 0.3, (len(_BEHAVIOR_SEEDS), *space.shape))
             actions = ((space.high + space.low) / 2 + shares * (space.high - space.low) / 2).astype(space.dtype)
             observation, reward, terminated, truncated, info = env.step(actions)

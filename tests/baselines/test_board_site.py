@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hostile_board import NAMES, hostile_entries
@@ -28,6 +29,7 @@ from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.leaderboard.site import replays
 from servotrack.baselines.leaderboard.site.entries import Entry, entries_of, rerun_actions
 from servotrack.baselines.leaderboard.site.packing import ANGLE_STEP, Packer
+from servotrack.baselines.leaderboard.site.set_replays import Clutter
 from servotrack.baselines.leaderboard.site.write import LARGEST_SITE, SCRIPTS, write_site
 from servotrack.baselines.reporting.files import ResultsError
 
@@ -154,6 +156,85 @@ def test_replays_show_the_episodes_of_the_rows(site: Path, results: Path) -> Non
     # The random agent's actions depend on the episodes beside it.
     seen.pop("random")
     assert all(labels == {"best", "median", "worst"} for labels in seen.values())
+
+
+def _runs(packed: list[Any], curves: list[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
+    """Points of packed tracks by number of the track and scan."""
+    listed, numbers = packed
+    points = np.stack([curves[number] for number in numbers], axis=1)
+    places = [(number, first + k) for number, first, length in listed for k in range(length)]
+    return dict(zip(places, points, strict=True))
+
+
+@pytest.mark.parametrize("level", [1, 4])
+def test_replays_of_sets_show_targets_measurements_and_answers(level: int, tmp_path: Path) -> None:
+    kwargs = {"level": level, "horizon": 12}
+    for agent in ("association-oracle", "raw-measurements"):
+        evaluate("ClutterTracking-v0", agent, SEEDS[:1], kwargs, folder=ResultsFolder(tmp_path / "r"), timing=False)
+    write_site(entries_of(tmp_path / "r"), tmp_path / "site", "test")
+    document = delivered(tmp_path / "site" / "data" / "task-0.js")
+    curves, scene = unpacked(document), document["scenes"][str(SEEDS[0])]
+    env = gym.make("ClutterTracking-v0", **kwargs)
+    _, info = env.reset(seed=SEEDS[0])
+    truth, rounding = _runs(scene["truth"], curves), (scene["window"][2] - scene["window"][0]) / 512
+    for scan in range(kwargs["horizon"]):
+        states = info["truth"]["states"][info["truth"]["exists"]][:, [0, 2]]
+        shown = np.array([point for (_, at), point in truth.items() if at == scan]).reshape(-1, 2)
+        np.testing.assert_allclose(np.sort(shown, axis=0), np.sort(states, axis=0), atol=rounding)
+        assert (info["truth"]["source"] == -1).sum() == scene["clutter"]["counts"][scan]
+        _, _, _, _, info = env.step(np.zeros(env.action_space.shape))
+    missed, seen = curves[scene["seen"][0]], curves[scene["seen"][1]]
+    assert len(missed) == len(truth) and len(seen) == (missed == 0.0).sum() > 0
+    replays_by_agent = {replay["agent"]: replay for replay in document["replays"]}
+    row = next(entry.cell.rows[0] for entry in entries_of(tmp_path / "r") if entry.cell.agent == "association-oracle")
+    oracle = replays_by_agent["association-oracle"]
+    assert curves[oracle["errors"]].mean() == pytest.approx(row["ospa"], abs=0.25)
+    assert set(_runs(oracle["tracks"], curves)) and (replays_by_agent["raw-measurements"]["tracks"] is None) == (
+        level == 1
+    )
+
+
+@pytest.mark.skipif(_NODE is None, reason="needs node")
+@pytest.mark.parametrize("level", [2, 4])
+def test_false_measurements_in_javascript_are_those_of_the_environment(level: int) -> None:
+    world = gym.make_vec("ClutterTracking-v0", num_envs=1, level=level, horizon=9)
+    world.reset(seed=[SEEDS[1]])
+    clutter = Clutter.of(world.unwrapped.world, 0, 9)
+    assert clutter is not None
+    code = (
+        "globalThis.window = { servotrack: {} };"
+        "require('vm').runInThisContext(require('fs').readFileSync(process.argv[1], 'utf8'));"
+        "console.log(JSON.stringify(window.servotrack.sets.clutterOf(JSON.parse(process.argv[2]))));"
+    )
+    command = [str(_NODE), "-e", code, str(ASSETS / "sets.js"), json.dumps(clutter.packed())]
+    found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout)
+    for step, points in enumerate(found):
+        scan, source, _, _ = world.unwrapped.world.scan(0, step)
+        false = scan[source == -1, 1:]
+        if clutter.sensor is not None:
+            turn = np.exp(1j * false[:, 1]) * false[:, 0]
+            false = clutter.sensor + np.stack([turn.real, turn.imag], axis=1)
+        np.testing.assert_allclose(np.sort(points, axis=0), np.sort(false, axis=0), rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "kwargs", "form"),
+    [
+        ("SonarTracking-v0", {"horizon": 6}, "bearings"),
+        ("ColorTracking-v0", {"horizon": 5}, "boxes"),
+        ("PedestrianTracking-v0", {"horizon": 5}, "boxes"),
+        ("RecordedPoints-v0", {"horizon": 6}, "points"),
+    ],
+)
+def test_worlds_without_an_arm_have_replays(env_id: str, kwargs: dict[str, Any], form: str, tmp_path: Path) -> None:
+    cell = evaluate(env_id, "random", SEEDS[:2], kwargs, folder=ResultsFolder(tmp_path), timing=False)
+    made = replays.replay(cell, rerun_actions(cell, cell.seeds))
+    assert made.faithful and set(made.motions) == set(SEEDS[:2])
+    packer = Packer()
+    scene = made.scenes[SEEDS[0]].packed(packer)
+    answers = made.motions[SEEDS[0]].packed(packer)
+    assert (scene["form"], scene["steps"]) == (form, kwargs["horizon"])
+    assert answers["tracks"][0] and len(unpacked({"curves": packer.curves, "samples": packer.text()})) > 2
 
 
 def test_a_race_has_both_opponents_on_every_seed(site: Path) -> None:

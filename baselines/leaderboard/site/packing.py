@@ -30,34 +30,36 @@ class Packer:
         self.curves: list[tuple[int, int, float, int]] = []
         self._words: list[np.ndarray] = []
 
-    def add(self, values: ArrayLike, step: float) -> int:
+    def add(self, values: ArrayLike, step: float, order: int | None = None) -> int:
         """Add a curve.
 
         Args:
             values: Samples, shape (k,), k at least 1.
             step: Rounding; raising it saves bytes.
+            order: Order of differences, 0 for samples that do not follow from each other; None for the best from 1 on.
 
         Returns:
             Number of the curve.
 
         Raises:
-            ValueError: A sample that is not finite, or a curve so rough that its second differences need more than 16
-                bits.
+            ValueError: A sample that is not finite, or a curve so rough that its differences need more than 16 bits.
         """
         samples = np.asarray(values, dtype=np.float64)
         if not np.isfinite(samples).all() or np.abs(samples).max() > 1e6 * step * _LARGEST:
             raise ValueError(f"values must be finite and at most {1e6 * step * _LARGEST:g}, got {samples}")
         rounded = np.rint(samples / step).astype(np.int64)
-        orders = [rounded - rounded[0]]
+        first = rounded.min() if order == 0 else rounded[0]
+        orders = [rounded - first]
         for _ in range(_HIGHEST_ORDER):
             orders.append(np.diff(orders[-1], prepend=0))
-        order = min(range(1, _HIGHEST_ORDER + 1), key=lambda order: int(np.abs(orders[order]).sum()))
+        if order is None:
+            order = min(range(1, _HIGHEST_ORDER + 1), key=lambda order: int(np.abs(orders[order]).sum()))
         bends = orders[order]
         if np.abs(bends).max() >= _LARGEST:
             raise ValueError(f"values must bend by less than {step * _LARGEST:g} per sample, got {samples}")
         # Zigzag: small numbers of both signs have an empty high byte.
         self._words.append(((bends << 1) ^ (bends >> 63)).astype(np.uint16))
-        self.curves.append((int(rounded[0]), len(rounded), step, order))
+        self.curves.append((int(first), len(rounded), step, order))
         return len(self.curves) - 1
 
     def text(self) -> str:

@@ -1,65 +1,58 @@
-"""Episodes as the page draws them: motions of arms and targets from action traces, packed per task."""
+"""Episodes as the page draws them: worlds stepped again from action traces, packed per task."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from servotrack.baselines.evaluation.episodes import EpisodeRecorder
+from servotrack.baselines.evaluation.episodes import EpisodeRecorder, full_episode_steps
 from servotrack.baselines.evaluation.evaluate import make_vector
 from servotrack.baselines.evaluation.results import CellResults
-from servotrack.baselines.leaderboard.site.packing import ANGLE_STEP, PLACE_STEP, RATE_STEP, Packer
-from servotrack.envs.servo.episode import draw_episode
-from servotrack.envs.servo.targets import LEAD
-from servotrack.envs.servo.world import ServoWorld
+from servotrack.baselines.leaderboard.site.arm_replays import ArmWatcher
+from servotrack.baselines.leaderboard.site.packing import Packer
+from servotrack.baselines.leaderboard.site.set_replays import BoxWatcher, SetWatcher
 from servotrack.estimators.types import Array
 
 SAME_ROW = 1e-6
 """Largest difference between the numbers of a replay and those of its row, as between mathematics libraries."""
 
 
-@dataclass(frozen=True)
-class Motion:
-    """One episode of a servo agent.
+class Drawn(Protocol):
+    """Something that the page can draw: the scene of a seed, or the motion of an agent in it."""
 
-    Attributes:
-        joints: True joint angles at the reset and after every step, shape (length + 1, 2), rad.
-        seen: Last sample at which a frame with the target arrived, per sample, shape (length + 1,).
-    """
-
-    joints: Array
-    seen: Array
+    def packed(self, packer: Packer) -> dict[str, Any]:
+        """Return it for the page; curves go to the packer."""
 
 
-@dataclass(frozen=True)
-class Scene:
-    """Conditions of the episode of a seed, the same for all agents.
+class Watcher(Protocol):
+    """Records a vector environment while it is stepped, made with (env, steps) after the reset."""
 
-    Attributes:
-        links: Link lengths, shape (2,), m.
-        camera: Packed camera, see `pack_camera`.
-        goal: Goal features, shape (2,), px.
-        gain: Factors on the joint rates, shape (2,).
-        path: Positions of the target from the reset on, shape (steps + 1, 2), m.
-        warmup: Number of unscored steps at the start.
-        size: Width and height of the camera's image, px.
-    """
+    def record(self, step: int, observation: Any) -> None:
+        """Store what there is after `step` steps, 0 for the reset."""
 
-    links: Array
-    camera: Array
-    goal: Array
-    gain: Array
-    path: Array
-    warmup: int
-    size: int
+    def scenes(self) -> Sequence[Drawn]:
+        """Return the scene of each row."""
+
+    def motion(self, row: int, length: int) -> Drawn:
+        """Return the motion of a row whose episode took `length` steps."""
+
+
+_WATCHERS: Mapping[str, Callable[[Any, int], Watcher]] = {
+    "servo": ArmWatcher,
+    "clutter": SetWatcher,
+    "people": SetWatcher,
+    "sonar": SetWatcher,
+    "color": BoxWatcher,
+}
+"""Recorders by kind of world."""
 
 
 def can_replay(cell: CellResults) -> bool:
-    """Return True if the page can draw the world of these results: one planar arm over a target."""
-    return cell.kind == "servo"
+    """Return True if the page can draw the world of these results; recordings of people take too long to play again."""
+    return cell.kind in _WATCHERS and not (cell.kind == "people" and cell.env_kwargs.get("source"))
 
 
 @dataclass(frozen=True)
@@ -72,8 +65,8 @@ class Replay:
         faithful: True if every row of the results was recomputed, each number to within `SAME_ROW`.
     """
 
-    motions: dict[int, Motion]
-    scenes: dict[int, Scene]
+    motions: dict[int, Any]
+    scenes: dict[int, Any]
     faithful: bool
 
 
@@ -82,50 +75,40 @@ def replay(cell: CellResults, actions: Mapping[int, Array]) -> Replay:
 
     Args:
         cell: Results; names the environment. Its rows are compared with the replayed ones.
-        actions: Actions by seed, each (length, 2).
+        actions: Actions by seed, each (length, *shape of an action).
     """
     seeds = [seed for seed in actions if len(actions[seed])]
     if not seeds:
         return Replay({}, {}, False)
     lengths = np.array([len(actions[seed]) for seed in seeds])
-    commands = np.zeros((len(seeds), lengths.max(), 2))
-    for row, seed in enumerate(seeds):
-        commands[row, : lengths[row]] = actions[seed]
     env = make_vector(cell.env_id, len(seeds), cell.env_kwargs, privileged=False)
     try:
         observation, _ = env.reset(seed=seeds)
-        world: ServoWorld = env.unwrapped.world
-        recorder = EpisodeRecorder(seeds, env, observation)
-        scenes = [_scene(world, row) for row in range(len(seeds))]
-        joints = np.empty((len(seeds), lengths.max() + 1, 2))
-        seen = np.zeros((len(seeds), lengths.max() + 1))
-        joints[:, 0], seen[:, 0] = world.joints, world.visible
-        for step in range(lengths.max()):
+        steps = min(int(lengths.max()), full_episode_steps(env) or int(lengths.max()))
+        commands = np.zeros((len(seeds), steps, *env.single_action_space.shape))
+        for row, seed in enumerate(seeds):
+            commands[row, : lengths[row]] = actions[seed][:steps]
+        recorder, watcher = EpisodeRecorder(seeds, env, observation), _WATCHERS[cell.kind](env, steps)
+        watcher.record(0, observation)
+        for step in range(steps):
             observation, reward, terminated, truncated, info = env.step(commands[:, step])
             recorder.record(observation, reward, terminated | truncated, info)
-            joints[:, step + 1], seen[:, step + 1] = world.joints, world.visible
-        rows = recorder.rows()
+            watcher.record(step + 1, observation)
+        rows, scenes = recorder.rows(), watcher.scenes()
+        given = {row["seed"]: row for row in cell.rows}
+        same = {
+            seed: watcher.motion(k, row["length"])
+            for k, (seed, row) in enumerate(zip(seeds, rows, strict=True))
+            if seed in given and row["length"] == lengths[k] and _is_same(row, given[seed])
+        }
     finally:
         env.close()
-    given = {row["seed"]: row for row in cell.rows}
-    same = {
-        seed: Motion(joints[k, : row["length"] + 1], seen[k, : row["length"] + 1])
-        for k, (seed, row) in enumerate(zip(seeds, rows, strict=True))
-        if seed in given and row["length"] == lengths[k] and _is_same(row, given[seed])
-    }
     kept = {seed: scene for seed, scene in zip(seeds, scenes, strict=True) if seed in same}
     return Replay(same, kept, set(same) == set(given))
 
 
 def _is_same(row: Mapping[str, Any], given: Mapping[str, Any]) -> bool:
     return row.keys() == given.keys() and all(abs(row[name] - given[name]) <= SAME_ROW for name in row)
-
-
-def _scene(world: ServoWorld, row: int) -> Scene:
-    config = world.config
-    path = world.paths[row, LEAD : LEAD + world.episode_steps + 1, :2].copy()
-    links, camera, goal, gain = (part[row].copy() for part in (world.links, world.cameras, world.goal, world.gain))
-    return Scene(links, camera, goal, gain, path, config.warmup, config.camera_size)
 
 
 def chosen_seeds(values: Mapping[int, float], high_is_good: bool, shared: Sequence[int]) -> dict[int, list[str]]:
@@ -147,9 +130,9 @@ def chosen_seeds(values: Mapping[int, float], high_is_good: bool, shared: Sequen
 
 
 def pack(
-    motions: Mapping[str, Mapping[int, Motion]],
+    motions: Mapping[str, Mapping[int, Drawn]],
     labels: Mapping[str, Mapping[int, list[str]]],
-    scenes: Mapping[int, Scene],
+    scenes: Mapping[int, Drawn],
     values: Mapping[str, Mapping[int, float]],
 ) -> dict[str, Any]:
     """Pack the replays of one task.
@@ -171,76 +154,15 @@ def pack(
         if seed in motions.get(agent, {})
     ]
     needed = sorted({seed for _, seed, _ in kept})
-    packed_scenes = {str(seed): _packed_scene(packer, scenes[seed]) for seed in needed}
+    packed_scenes = {str(seed): scenes[seed].packed(packer) for seed in needed}
     replays = [
         {
             "agent": agent,
             "seed": seed,
             "labels": names,
-            "value": _short([values[agent][seed]])[0],
-            "joints": _pair(packer, motions[agent][seed].joints, ANGLE_STEP),
-            "unseen": _runs(motions[agent][seed].seen == 0.0),
+            "value": float(f"{values[agent][seed]:.8g}"),
+            **motions[agent][seed].packed(packer),
         }
         for agent, seed, names in kept
     ]
     return {"scenes": packed_scenes, "replays": replays, "curves": packer.curves, "samples": packer.text()}
-
-
-def rate_noise(env: Any, seed: int) -> Array:
-    """Noise on the joint rates in the steps of a seed's episode, shape (steps or 0, 2), rad/s.
-
-    Args:
-        env: Environment of the arm.
-        seed: Seed of the episode.
-    """
-    noise = draw_episode(env.unwrapped.config, seed).rate_noise
-    return noise[LEAD : LEAD + env.unwrapped.world.episode_steps]
-
-
-def pack_race(
-    scenes: Mapping[int, Scene], motions: Mapping[str, Mapping[int, Motion]], noise: Mapping[int, Array]
-) -> dict[str, Any]:
-    """Pack the episodes of a race: scenes with what moves the visitor's arm, and the opponents' replays."""
-    packer = Packer()
-    packed = {}
-    for seed, scene in scenes.items():
-        packed[str(seed)] = _packed_scene(packer, scene)
-        if len(noise[seed]):
-            packed[str(seed)]["noise"] = _pair(packer, noise[seed], RATE_STEP)
-    replays = [
-        {
-            "agent": agent,
-            "seed": seed,
-            "labels": [],
-            "joints": _pair(packer, of_agent[seed].joints, ANGLE_STEP),
-            "unseen": [],
-        }
-        for agent, of_agent in motions.items()
-        for seed in scenes
-    ]
-    return {"scenes": packed, "replays": replays, "curves": packer.curves, "samples": packer.text()}
-
-
-def _packed_scene(packer: Packer, scene: Scene) -> dict[str, Any]:
-    return {
-        "links": _short(scene.links),
-        "camera": _short(scene.camera),
-        "goal": _short(scene.goal),
-        "gain": _short(scene.gain),
-        "path": _pair(packer, scene.path, PLACE_STEP),
-        "warmup": scene.warmup,
-        "size": scene.size,
-    }
-
-
-def _pair(packer: Packer, values: Array, step: float) -> list[int]:
-    return [packer.add(values[:, 0], step), packer.add(values[:, 1], step)]
-
-
-def _runs(mask: Array) -> list[int]:
-    """Starts and ends of the runs of True, alternating."""
-    return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))).tolist()
-
-
-def _short(values: Iterable[float]) -> list[float]:
-    return [float(f"{value:.8g}") for value in values]

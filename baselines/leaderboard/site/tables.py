@@ -12,8 +12,10 @@ from servotrack.baselines.leaderboard.site.entries import Entry
 from servotrack.baselines.leaderboard.summary import AgentSummary, TaskSummary, overall
 from servotrack.baselines.worlds import RankingMetric
 from servotrack.envs.servo.levels import LEVEL_NAMES
+from servotrack.envs.track.clutter.config import LEVEL_NAMES as CLUTTER_LEVEL_NAMES
 
 _DIGITS = 5
+_LEVEL_NAMES = {"servo": LEVEL_NAMES, "clutter": CLUTTER_LEVEL_NAMES}
 
 
 def task_table(
@@ -87,8 +89,8 @@ def agent_facts(entries: Iterable[Entry]) -> dict[str, Any]:
 def _level_label(task: TaskSummary) -> str:
     if task.level is None:
         return task.environment
-    named = task.world.kind == "servo" and task.level < len(LEVEL_NAMES)
-    return f"{task.level} {LEVEL_NAMES[task.level]}" if named else str(task.level)
+    names = _LEVEL_NAMES.get(task.world.kind, ())
+    return f"{task.level} {names[task.level]}" if task.level < len(names) else str(task.level)
 
 
 def _measure(measure: RankingMetric) -> dict[str, Any]:

@@ -17,24 +17,27 @@ import numpy as np
 
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.evaluation.servo_scores import LOST_ERROR
-from servotrack.baselines.leaderboard.site import replays
+from servotrack.baselines.leaderboard.site import arm_replays, replays
 from servotrack.baselines.leaderboard.site.entries import Entry, Proof, summaries_of
 from servotrack.baselines.leaderboard.site.tables import agent_facts, episode_values, overall_table, task_table
 from servotrack.baselines.leaderboard.summary import TaskSummary, stamp
 from servotrack.baselines.reporting.files import atomic_path
+from servotrack.envs.track.files.recorded import SequenceError
 
 LARGEST_SITE = 1_450_000
 """Size that the site is kept below by showing fewer shared seeds, bytes."""
 MOST_SHARED = 12
 """Largest number of seeds of which every agent's episode can be watched."""
+SET_COST = 6
+"""Size of a seed with measurements in seeds of an arm. Raising it shows fewer shared seeds with measurements."""
 RACERS = ("lifted-kf", "ppo")
 """Opponents of the visitor."""
 RACE_EPISODES = 6
 """Largest number of seeds per task on which a visitor can race."""
 
 SCRIPTS = (
-    "arm.js", "camera.js", "data.js", "dom.js", "scene.js", "player.js", "plots.js", "board.js", "watch.js",
-    "compare.js", "compute.js", "race.js", "proof.js", "main.js",
+    "arm.js", "camera.js", "data.js", "dom.js", "scene.js", "sets.js", "stages.js", "player.js", "plots.js", "board.js",
+    "watch.js", "compare.js", "compute.js", "race.js", "proof.js", "main.js",
 )  # fmt: skip
 
 
@@ -45,8 +48,8 @@ class _Task:
     summary: TaskSummary
     entries: dict[str, Entry]
     chunk: str
-    motions: dict[str, dict[int, replays.Motion]] = field(default_factory=dict)
-    scenes: dict[int, replays.Scene] = field(default_factory=dict)
+    motions: dict[str, dict[int, Any]] = field(default_factory=dict)
+    scenes: dict[int, Any] = field(default_factory=dict)
 
     @property
     def cell(self) -> CellResults:
@@ -64,7 +67,8 @@ class _Task:
 
     def labels(self, shared: int) -> dict[str, dict[int, list[str]]]:
         """Seeds to show of every agent, see `replays.chosen_seeds`."""
-        seeds, good = self.common_seeds()[:shared], self.summary.world.headline.high_is_good
+        shown = shared if self.cell.kind == "servo" else shared // SET_COST
+        seeds, good = self.common_seeds()[:shown], self.summary.world.headline.high_is_good
         return {
             agent: replays.chosen_seeds(values, good, seeds) for agent in self.entries if (values := self.values(agent))
         }
@@ -133,7 +137,11 @@ def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
         entry = task.entries[agent]
         whole = dataclasses.replace(entry.cell, rows=[*entry.cell.rows, *entry.sealed])
         seeds = whole.seeds if entry.traced else list(labels)
-        made = replays.replay(whole, entry.actions(whole, sorted(seeds)))
+        try:
+            made = replays.replay(whole, entry.actions(whole, sorted(seeds)))
+        except SequenceError:
+            # A recording that has gone leaves the table without episodes.
+            continue
         task.motions[agent] = {seed: made.motions[seed] for seed in labels if seed in made.motions}
         task.scenes |= {seed: made.scenes[seed] for seed in task.motions[agent]}
         if entry.traced:
@@ -189,7 +197,7 @@ def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
     """Episodes in which a visitor can race, by task; None if no task has replays of all opponents."""
     courses = []
     for task in tasks:
-        if not all(task.motions.get(agent) for agent in RACERS):
+        if task.cell.kind != "servo" or not all(task.motions.get(agent) for agent in RACERS):
             continue
         seeds = [
             seed
@@ -200,7 +208,7 @@ def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
             continue
         env = gym.make(task.cell.env_id, **task.cell.env_kwargs)
         try:
-            noise = {seed: replays.rate_noise(env, seed) for seed in seeds}
+            noise = {seed: arm_replays.rate_noise(env, seed) for seed in seeds}
             config = env.unwrapped.config  # type: ignore[attr-defined]
         finally:
             env.close()
@@ -213,7 +221,7 @@ def _race(tasks: Sequence[_Task]) -> dict[str, Any] | None:
                 "settings": {name: getattr(config, name) for name in names},
                 "anchors": _score_ends(task),
                 "seeds": seeds,
-                **replays.pack_race({seed: task.scenes[seed] for seed in seeds}, motions, noise),
+                **arm_replays.pack_race({seed: task.scenes[seed] for seed in seeds}, motions, noise),
             }
         )
     return {"racers": list(RACERS), "lost": LOST_ERROR, "courses": courses} if courses else None
@@ -233,19 +241,21 @@ def _score_ends(task: _Task) -> list[float] | None:
 
 
 def _scale(task: _Task) -> list[str] | None:
-    """The ends of the score in words: at 0 and at 1."""
-    ends = task.summary.world.anchors
+    """The score in words: its ends at 0 and at 1, and the error that it is taken of."""
+    world, anchors = task.summary.world, next(iter(task.entries.values())).anchors
+    ends = world.anchors if anchors is None else world.suite_anchors
     if ends is None:
         return None
-    anchors = next(iter(task.entries.values())).anchors
+    headings = {metric.column: metric.heading for metric in world.shown}
+    error = "the mean error after 3 s" if ends.column == "steady" else headings[ends.column]
     if anchors is not None:
         # Only a bound can be 0, and so only with one there is a resolution.
         upper = "the bound" if anchors[2] else f"{ends.upper} ({ends.upper_knows})"
-        return [ends.lower, f"{upper}, both frozen with the suite"]
+        return [ends.lower, f"{upper}, both frozen with the suite", error]
     anchoring = task.summary.anchoring
     if anchoring is None:
         return None
-    return [ends.lower, "the bound" if anchoring.bound else f"{ends.upper} ({ends.upper_knows})"]
+    return [ends.lower, "the bound" if anchoring.bound else f"{ends.upper} ({ends.upper_knows})", error]
 
 
 def _chunks_within(tasks: Sequence[_Task], room: int) -> dict[str, str]:

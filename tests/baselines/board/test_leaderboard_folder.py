@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(not BOARD.is_dir(), reason="source distributions
 @pytest.mark.parametrize("suite", suite_names())
 def test_a_random_cell_of_every_submission_is_confirmed(suite: str) -> None:
     folders = submission_folders([BOARD / suite])
-    assert len(folders) > 20
+    assert len(folders) > 5
     for verdict in verify(folders, suite, sample=1):
         assert verdict.is_confirmed, verdict
 

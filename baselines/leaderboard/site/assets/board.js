@@ -172,7 +172,7 @@
     const { world, task } = where;
     const scored = task ? task.scored : world.overall.length > 0;
     return h("p", { class: "note" },
-      scored && world.scale && `Score: 0 is ${world.scale[0]}, 1 is ${world.scale[1]}; the scale is logarithmic in the mean error after 3 s. `,
+      scored && world.scale && `Score: 0 is ${world.scale[0]}, 1 is ${world.scale[1]}; the scale is logarithmic in ${world.scale[2]}. `,
       task && task.rows.some((row) => row.sealed) && "Ranked on public seeds; sealed ones are a form that the agent's files choose, fresh ones were drawn by the verifier. ",
       "Intervals: 95 %. † sees the truth. ",
       task && task.rows.some((row) => row.difference) && `Differences are paired by seed against ${task.reference}; * below p = 0.05 after Holm's correction. `,

@@ -58,6 +58,7 @@
     const found = await curves(content);
     const scenes = new Map();
     for (const [seed, scene] of Object.entries(content.scenes)) {
+      if (scene.form !== "arm") { scenes.set(Number(seed), ns.sets.unpackScene({ ...scene, seed: Number(seed) }, found)); continue; }
       scenes.set(Number(seed), {
         ...scene,
         seed: Number(seed),
@@ -66,8 +67,9 @@
       });
     }
     const replays = content.replays.map((replay) => {
-      const joints = replay.joints.map((number) => found[number]);
       const scene = scenes.get(replay.seed);
+      if (scene.form !== "arm") return ns.sets.unpackReplay(replay, scene, found);
+      const joints = replay.joints.map((number) => found[number]);
       const length = joints[0].length;
       const errors = new Float64Array(length);
       for (let k = 0; k < length; k++) {

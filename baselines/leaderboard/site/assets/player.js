@@ -1,61 +1,13 @@
-// A stage with three pictures, and the controls that play recorded episodes on it.
+// The controls that play recorded episodes on a stage.
 (function () {
   "use strict";
   const ns = window.servotrack;
-  const { h, scene: paint } = ns;
+  const { h } = ns;
   const SPEEDS = [0.25, 0.5, 1, 2, 4];
-
-  // Canvases of a stage, with their frames.
-  function stage(label) {
-    const picture = (name) => h("canvas", { class: name, role: "img", "aria-label": `${label}: ${{ floor: "the floor from above", camera: "the camera's view", errors: "tracking error over time" }[name]}` });
-    const floor = picture("floor"), camera = picture("camera"), errors = picture("errors");
-    const side = h("div", { class: "stage-side" },
-      h("figure", { class: "lens" }, camera, h("figcaption", {}, "camera, true geometry")),
-      h("figure", { class: "strip" }, errors, h("figcaption", {}, "tracking error; shaded: success, below 1 cm")));
-    const node = h("div", { class: "stage" }, h("figure", { class: "above" }, floor), side);
-    return { node, floor, camera, errors };
-  }
-
-  // Tool positions of a replay, computed once.
-  function tools(replay) {
-    replay.tools ??= Array.from({ length: replay.length }, (_, k) => ns.arm.tool(replay.scene.links, [replay.joints[0][k], replay.joints[1][k]]));
-    return replay.tools;
-  }
-
-  function pathOf(scene) {
-    scene.points ??= Array.from(scene.path[0], (x, k) => [x, scene.path[1][k]]);
-    return scene.points;
-  }
-
-  const past = (list, at) => list.slice(Math.max(0, Math.floor(at) - ns.scene.TRAIL), Math.floor(at) + 1);
-
-  // Joint angles of a replay at a fractional sample.
-  const jointsAt = (replay, at) => [0, 1].map((j) => paint.between(replay.joints[j], Math.min(at, replay.length - 1)));
-  const targetAt = (scene, at) => [0, 1].map((j) => paint.between(scene.path[j], at));
-
-  // Show an instant of episodes that share a scene. replays: [{replay, tint}], the first one leads.
-  function show(canvases, replays, at) {
-    const scene = replays[0].replay.scene, lead = replays[0].replay;
-    const target = targetAt(scene, at), joints = jointsAt(lead, at);
-    const actors = replays.map(({ replay, tint }, k) => {
-      const tool = ns.arm.tool(scene.links, jointsAt(replay, at));
-      return { joints: jointsAt(replay, at), trail: [...past(tools(replay), Math.min(at, replay.length - 1)), tool], tint, ghost: k > 0 };
-    });
-    paint.floor(canvases.floor, { scene, actors, target, targetTrail: [...past(pathOf(scene), at), target] });
-    lead.pixels ??= Array.from({ length: lead.length }, (_, k) =>
-      ns.camera.project(scene.camera, ns.camera.pose(scene.camera, scene.links, [lead.joints[0][k], lead.joints[1][k]]), scene.path[0][k], scene.path[1][k]));
-    const sample = Math.min(Math.floor(at), lead.length - 1);
-    let unseen = false;
-    for (let k = 0; k < lead.unseen.length; k += 2) unseen ||= lead.unseen[k] <= sample && sample < lead.unseen[k + 1];
-    paint.camera(canvases.camera, { scene, joints, target, targetTrail: past(lead.pixels, sample), unseen });
-    paint.errors(canvases.errors, { scene, steps: scene.path[0].length - 1, now: at, series: replays.slice().reverse().map(({ replay, tint }) => ({ errors: replay.errors, tint })) });
-  }
 
   // A player of episodes. Returns its node and `stop`, to be called when the view is left.
   function player(label, replays, autoplay) {
-    const canvases = stage(label);
-    const scene = replays[0].replay.scene;
-    const last = Math.max(...replays.map(({ replay }) => replay.length - 1));
+    const { scene } = replays[0].replay, form = ns.stages.of(scene), canvases = form.make(label, scene), last = form.last(replays);
     let at = 0, playing = false, speed = 1, before = 0, frame = 0, gone = false;
     const time = h("span", { class: "clock" });
     const button = h("button", { type: "button", class: "play", onclick: () => (playing ? pause() : play()) });
@@ -65,16 +17,15 @@
     const controls = h("div", { class: "controls" }, button, slider, time, speeds);
 
     function draw() {
-      show(canvases, replays, at);
-      const seconds = (at - scene.warmup) * ns.arm.PERIOD;
-      time.textContent = `${seconds.toFixed(1).replace("-", "−")} s`;
+      form.show(canvases, replays, at);
+      time.textContent = form.clock(scene, at);
       slider.value = at;
-      slider.setAttribute("aria-valuetext", `${seconds.toFixed(1)} seconds, ` + replays.map(({ replay, name }) => `${name} ${ns.length(replay.errors[Math.min(Math.floor(at), replay.length - 1)])}`).join(", "));
+      slider.setAttribute("aria-valuetext", `${form.spokenTime(scene, at)}, ` + replays.map(({ replay, name }) => `${name} ${form.spoken(replay, at)}`).join(", "));
     }
     function tick(now) {
       if (gone) return;
       if (playing) {
-        at = Math.min(at + (speed * Math.min(Math.max(now - before, 0), 100)) / 1000 / ns.arm.PERIOD, last);
+        at = Math.min(at + (speed * Math.min(Math.max(now - before, 0), 100)) * form.rate(scene) / 1000, last);
         before = now;
         draw();
         if (at >= last) pause();
@@ -110,7 +61,7 @@
     observer.observe(canvases.node);
     label_();
     if (autoplay && !ns.calm()) play();
-    else at = Math.min(scene.warmup + 60, last);
+    else at = Math.min(form.start(scene), last);
     return {
       node: h("div", { class: "player" }, canvases.node, controls),
       stop() {
@@ -123,5 +74,5 @@
     };
   }
 
-  ns.player = { player, stage, show, tools, pathOf, past, jointsAt, targetAt };
+  ns.player = { player };
 })();

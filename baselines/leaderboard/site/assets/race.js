@@ -2,7 +2,7 @@
 (function () {
   "use strict";
   const ns = window.servotrack;
-  const { h, scene: paint, player, arm: arms } = ns;
+  const { h, scene: paint, stages: { arm: stage }, arm: arms } = ns;
   const STEADY = 61; // first sample after 3 s, counted from the end of the warm-up
   const SUCCESS = [0.01, 0.025]; // m: mean and 95th percentile after 3 s
   const GAIN = 12; // 1/s: the tool goes to the pointer this fast
@@ -62,7 +62,7 @@
     const held = new Set();
     const stats = (ns.raceStats = { frames: 0, started: 0, ended: 0, slowest: 0, drawing: 0 });
 
-    const canvases = player.stage("Race");
+    const canvases = stage.make("Race");
     const overlay = h("div", { class: "overlay" });
     const live = h("p", { class: "visually-hidden", role: "status" });
     const hint = h("p", { class: "hint" });
@@ -95,15 +95,15 @@
     }
 
     function draw(at) {
-      const target = player.targetAt(scene, at), k = Math.min(Math.floor(at), joints.length - 1), next = Math.min(k + 1, joints.length - 1);
+      const target = stage.targetAt(scene, at), k = Math.min(Math.floor(at), joints.length - 1), next = Math.min(k + 1, joints.length - 1);
       const mine = joints[k].map((value, j) => value + Math.min(at - k, 1) * (joints[next][j] - value));
       const here = phase === "waiting" ? joints[0] : mine;
-      const actors = [{ joints: here, trail: phase === "waiting" ? [] : [...player.past(tools, Math.min(at, joints.length - 1)), arms.tool(scene.links, here)], tint: ns.color(TINTS[0]), ghost: false }];
+      const actors = [{ joints: here, trail: phase === "waiting" ? [] : [...stage.past(tools, Math.min(at, joints.length - 1)), arms.tool(scene.links, here)], tint: ns.color(TINTS[0]), ghost: false }];
       rivals.forEach((replay, n) => {
-        const pose = player.jointsAt(replay, at);
-        actors.push({ joints: pose, trail: [...player.past(player.tools(replay), Math.min(at, replay.length - 1)).slice(-40), arms.tool(scene.links, pose)], tint: ns.color(TINTS[n + 1]), ghost: true });
+        const pose = stage.jointsAt(replay, at);
+        actors.push({ joints: pose, trail: [...stage.past(stage.tools(replay), Math.min(at, replay.length - 1)).slice(-40), arms.tool(scene.links, pose)], tint: ns.color(TINTS[n + 1]), ghost: true });
       });
-      const targetTrail = [...player.past(player.pathOf(scene), at), target];
+      const targetTrail = [...stage.past(stage.pathOf(scene), at), target];
       if (mode !== "camera" || phase !== "running") paint.floor(canvases.floor, { scene, actors, target, targetTrail, pointer: phase === "running" && mode === "point" ? pointer?.floor : null });
       const view = ns.camera.pose(scene.camera, scene.links, here);
       const seen = ns.camera.project(scene.camera, view, ...target);

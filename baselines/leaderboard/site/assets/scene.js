@@ -339,5 +339,5 @@
     return values[k] + (at - k) * (values[next] - values[k]);
   }
 
-  ns.scene = { floor, camera, errors, between, window: window_, colors, TRAIL };
+  ns.scene = { floor, camera, errors, between, window: window_, colors, context, TRAIL };
 })();

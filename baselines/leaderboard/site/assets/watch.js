@@ -4,17 +4,6 @@
   const ns = window.servotrack;
   const { h } = ns;
 
-  // A sentence on an episode for everybody, and all that a screen reader gets of it.
-  function describe(replay, name) {
-    const { errors, scene } = replay, late = errors.slice(Math.min(scene.warmup + 61, errors.length - 1));
-    const mean = late.reduce((sum, error) => sum + error, 0) / late.length;
-    let unseen = 0;
-    for (let k = 0; k < replay.unseen.length; k += 2) unseen += replay.unseen[k + 1] - replay.unseen[k];
-    const early = errors.length < scene.path[0].length;
-    return `${name}: the tool starts ${ns.length(errors[0])} from the target; ${early ? `the target is lost and the episode ends after ${((errors.length - 1 - scene.warmup) * ns.arm.PERIOD).toFixed(1)} s` : `after 3 s the mean error is ${ns.length(mean)}, at worst ${ns.length(Math.max(...late))}`}` +
-      `${unseen > 1 ? `; ${Math.round((100 * unseen) / errors.length)} % of the frames are lost or do not show the target` : ""}.`;
-  }
-
   function side(where, content, replay, agent) {
     const { task } = where;
     const measure = task.measures.find((given) => given.column === task.headline);
@@ -49,11 +38,13 @@
     const kind = replay.labels.length ? `${replay.labels.join(" and ")} episode` : `seed ${replay.seed}`;
     const title = `${agent}: ${kind}`;
     const player = ns.player.player(`${title}, ${task.name}`, shown, true);
-    const legend = h("p", { class: "legend" }, h("span", { class: "key target" }, "target"), shown.map(({ name }, k) => h("span", { class: `key ${k ? "second" : "tool"}` }, name)));
+    const { scene } = replay, sets = scene.form !== "arm";
+    const legend = h("p", { class: "legend" }, h("span", { class: "key target" }, sets ? "true targets" : "target"), shown.map(({ name }, k) => h("span", { class: `key ${k ? "second" : "tool"}` }, name)),
+      scene.measured && h("span", { class: "soft" }, "× measurements"), sets && !other && h("span", { class: "soft" }, "on the map every identity has a color of its own"));
     return {
       title,
       node: [
-        h("div", { class: "lede" }, h("h1", {}, agent, h("span", { class: "soft" }, ` ${kind}${replay.labels.length ? `, seed ${replay.seed}` : ""}${other ? `, beside ${other.agent}` : ""}`)), h("p", {}, `${where.world.name}, level ${task.label}. `, shown.map(({ replay: one, name }) => `${describe(one, name)} `))),
+        h("div", { class: "lede" }, h("h1", {}, agent, h("span", { class: "soft" }, ` ${kind}${replay.labels.length ? `, seed ${replay.seed}` : ""}${other ? `, beside ${other.agent}` : ""}`)), h("p", {}, `${task.level === null ? task.name : `${where.world.name}, level ${task.label}`}. `, shown.map(({ replay: one, name }) => `${ns.stages.of(one.scene).sentence(one, name)} `))),
         ns.parts.tabs(where, "watch", { agent, episode: which }),
         h("div", { class: "watching" }, h("div", {}, legend, player.node), side(where, content, replay, agent)),
       ],
