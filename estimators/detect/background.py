@@ -19,7 +19,9 @@ from servotrack.estimators.detect.difference import (
     drop_shadows,
     frames_of_same_light,
     learned,
+    levels_of_sample,
     rounded,
+    share_above,
 )
 from servotrack.estimators.detect.exposure import ExposureRules, exposure_line
 from servotrack.estimators.detect.faint import FaintRules, add_faint_regions, join_by_faint_regions
@@ -301,8 +303,8 @@ class MaskedBackground:
         if self.exposure is None:
             return state
         threshold = self.least_threshold if isinstance(self.threshold, str) else float(self.threshold)
-        sample = difference[:: self.exposure.stride, :: self.exposure.stride]
-        if np.count_nonzero(sample > 0.5 * threshold) <= self.exposure.changed * sample.size * self.exposure.usable:
+        changed = share_above(difference, 0.5 * threshold, self.exposure.stride)
+        if changed <= self.exposure.changed * self.exposure.usable:
             return state
         gain, offset = exposure_line(image, state.rounded, threshold, self.exposure)
         if gain == 1.0 and offset == 0.0:
@@ -354,26 +356,23 @@ class MaskedBackground:
         rules = self.noise
         if rules is None or state.frames % rules.every:
             return state.noise, state.brightness
-        sampled = (slice(None, None, rules.stride),) * 2
-        known = state.rounded[sampled]
-        brightness = float(np.median(known.max(axis=2) if known.ndim == 3 else known))
-        sample = difference[sampled][state.mask[sampled] == 0]
-        if len(sample) < rules.stride:
+        known = state.rounded.reshape((*difference.shape, -1))
+        brightness, level, count = levels_of_sample(known, difference, state.mask, rules.stride, rules.quiet)
+        if count < rules.stride:
             return state.noise, brightness
-        rank = int(rules.quiet * (len(sample) - 1))
-        level = float(np.partition(sample, rank)[rank])
         return level if state.noise == 0.0 else state.noise + rules.rate * (level - state.noise), brightness
 
     def _regions(self, difference: Image, foreground: Image, threshold: float, noise: float, sizes: Sizes) -> _Regions:
         """Regions of clear foreground, with what belongs to them of the faint foreground."""
         typical = self.blobs.typical_height(sizes)
-        mask = self.blobs.clean(foreground, typical)
+        # Smallest and largest values of a neighborhood commute with a threshold, so that one pass serves both.
+        clean = self.blobs.clean(difference, typical)
+        # Without shadows the foreground is no threshold of the difference. Copied, because `hold` needs it unchanged.
+        mask = self.blobs.clean(foreground.copy(), typical) if self.shadows else above(clean, threshold)
         faint = max(self.faint, noise) if self.faint > 0.0 else 0.0
-        # The mask may be the foreground itself, which `hold` needs unchanged.
-        mask = mask.copy() if mask is foreground else mask
         if not 0.0 < faint < threshold:
             return self._joined(mask, label_runs(mask), None, None)
-        faint_runs, count = label_runs(self.blobs.clean(above(difference, faint), typical))
+        faint_runs, count = label_runs(above(clean, faint))
         faint_boxes = measure_runs(faint_runs, count)[0]
         rules = self.faint_rules
         if typical:

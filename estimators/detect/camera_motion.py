@@ -96,11 +96,13 @@ def small_copy(image: Image, largest: int) -> Image:
 
 
 @njit(cache=True, nogil=True)
-def _changed_share(before, now, corners, shift):  # type: ignore[no-untyped-def]
-    """Share of the corners around which the picture changed by at least half of what the shift would change.
+def _moved_share(before, now, corners, shift):  # type: ignore[no-untyped-def]
+    """Share of the corners that may have moved by at least a shift; the others have certainly not.
 
     For small shifts d the sum of the squared differences over a window is d' G d with the structure tensor G of
-    the window (Lucas and Kanade 1981), and thus at least |d|^2 times its smaller eigenvalue.
+    the window (Lucas and Kanade 1981), and thus at least |d|^2 times its smaller eigenvalue. A corner has not moved
+    where the sum is below a quarter of that, or where it is below four times that, which a larger shift is not, and
+    the first step of their iteration is shorter than half of the shift: that is noise.
 
     Args:
         before: Gray picture. Shape (H, W), uint8.
@@ -109,10 +111,10 @@ def _changed_share(before, now, corners, shift):  # type: ignore[no-untyped-def]
         shift: Length of the shift, px.
     """
     height, width = before.shape
-    changed, reach = 0, 3
+    moved, reach = 0, 3
     for k in range(len(corners)):
         column, row = int(corners[k, 0] + 0.5), int(corners[k, 1] + 0.5)
-        xx = yy = xy = total = 0.0
+        xx = yy = xy = xt = yt = total = 0.0
         for y in range(max(row - reach, 1), min(row + reach + 1, height - 1)):
             for x in range(max(column - reach, 1), min(column + reach + 1, width - 1)):
                 across = 0.5 * (float(before[y, x + 1]) - float(before[y, x - 1]))
@@ -121,10 +123,15 @@ def _changed_share(before, now, corners, shift):  # type: ignore[no-untyped-def]
                 xx += across * across
                 yy += along * along
                 xy += across * along
+                xt += across * difference
+                yt += along * difference
                 total += difference * difference
-        smaller = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
-        changed += total >= 0.25 * shift * shift * smaller
-    return changed / len(corners)
+        least = shift * shift * (0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy))
+        determinant = xx * yy - xy * xy
+        step = math.hypot(yy * xt - xy * yt, xx * yt - xy * xt)
+        noise = total < 4.0 * least and step < 0.5 * shift * determinant
+        moved += total >= 0.25 * least and not noise
+    return moved / len(corners)
 
 
 def _median_flow(before: Image, now: Image, rules: MotionRules) -> tuple[float, float]:
@@ -134,7 +141,7 @@ def _median_flow(before: Image, now: Image, rules: MotionRules) -> tuple[float, 
         return 0.0, 0.0
     start = np.asarray(corners, dtype=np.float32)
     # Following corners takes most of the time of a check, and most cameras stand still.
-    if _changed_share(before, now, start[:, 0], rules.shift * before.shape[1]) < rules.agree:
+    if _moved_share(before, now, start[:, 0], rules.shift * before.shape[1]) < rules.agree:
         return 0.0, 0.0
     followed, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=(15, 15), maxLevel=3)
     flow = (np.asarray(followed) - start)[np.ravel(found) == 1, 0]

@@ -74,6 +74,65 @@ def above(difference: Image, threshold: float) -> Image:
     return np.asarray(cv2.threshold(difference, math.ceil(threshold) - 1, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
+@njit(cache=True, nogil=True)
+def share_above(difference, level, stride):  # type: ignore[no-untyped-def]
+    """Share of a sample of the pixels whose difference is above a level, 0 to 1.
+
+    Args:
+        difference: Gray levels. Shape (H, W), uint8.
+        level: Gray levels.
+        stride: Distance of the sampled pixels, px.
+    """
+    count, total = 0, 0
+    for row in range(0, difference.shape[0], stride):
+        for column in range(0, difference.shape[1], stride):
+            count += difference[row, column] > level
+            total += 1
+    return count / total
+
+
+@njit(cache=True, nogil=True)
+def levels_of_sample(background, difference, mask, stride, quiet):  # type: ignore[no-untyped-def]
+    """Brightness of the background and level of its noise in a sample of the pixels.
+
+    Args:
+        background: The background. Shape (H, W, C), uint8.
+        difference: Difference of the frame to it, gray levels. Shape (H, W), uint8.
+        mask: Foreground, left out of the noise. Shape (H, W), uint8.
+        stride: Distance of the sampled pixels, px.
+        quiet: Share of the sampled background that the noise level is not below.
+
+    Returns:
+        Median of the brightest channel, gray levels; quantile of the difference outside of the mask, gray levels; and
+        number of sampled pixels outside of the mask.
+    """
+    brightest, noise = np.zeros(256, np.int64), np.zeros(256, np.int64)
+    total, count = 0, 0
+    for row in range(0, mask.shape[0], stride):
+        for column in range(0, mask.shape[1], stride):
+            largest = 0
+            for channel in range(background.shape[2]):
+                largest = max(largest, background[row, column, channel])
+            brightest[largest] += 1
+            total += 1
+            if mask[row, column] == 0:
+                noise[difference[row, column]] += 1
+                count += 1
+    lower, upper = _ranked(brightest, (total - 1) // 2), _ranked(brightest, total // 2)
+    return 0.5 * (lower + upper), float(_ranked(noise, int(quiet * (count - 1)))), count
+
+
+@njit(cache=True, nogil=True)
+def _ranked(histogram, rank):  # type: ignore[no-untyped-def]
+    """Value of a rank, counted from 0, in a histogram of whole numbers."""
+    below = 0
+    for value in range(len(histogram)):
+        below += histogram[value]
+        if below > rank:
+            return value
+    return 0
+
+
 def learned(image: Image, background: FloatArray, held: NDArray[np.int32], rate: np.float32) -> FloatArray:
     """Return the background after a frame (Wu and Hu 2010, equation 6); it stays as it was under some runs.
 

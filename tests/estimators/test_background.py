@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from servotrack.estimators.detect import BlobFinder, MaskedBackground
+from servotrack.estimators.detect.difference import above, levels_of_sample, share_above
 
 H, W = 144, 192
 RNG = np.random.default_rng(0)
@@ -305,3 +306,25 @@ def test_one_frame_a_second_is_no_flood():
     for frame in frames:
         state, _ = detector.step(state, frame)
         assert not state.notice
+
+
+def test_one_pass_of_morphology_serves_both_thresholds():
+    difference = np.random.default_rng(3).integers(0, 60, (60, 83), dtype=np.uint8)
+    finder = BlobFinder()
+    for typical in (0.0, 30.0):
+        for threshold in (10.0, 30.0):
+            np.testing.assert_array_equal(
+                above(finder.clean(difference, typical), threshold), finder.clean(above(difference, threshold), typical)
+            )
+
+
+def test_levels_of_a_sample_are_those_of_numpy():
+    rng = np.random.default_rng(4)
+    known, difference = rng.integers(0, 256, (50, 70, 3), dtype=np.uint8), rng.integers(0, 40, (50, 70), dtype=np.uint8)
+    mask = np.where(rng.random((50, 70)) < 0.3, 255, 0).astype(np.uint8)
+    brightness, level, count = levels_of_sample(known, difference, mask, 7, 0.9)
+    sample = difference[::7, ::7][mask[::7, ::7] == 0]
+    assert brightness == np.median(known[::7, ::7].max(axis=2))
+    assert level == np.sort(sample)[int(0.9 * (len(sample) - 1))]
+    assert count == len(sample)
+    assert share_above(difference, 15.0, 7) == np.mean(difference[::7, ::7] > 15)
