@@ -16,8 +16,15 @@ from servotrack.estimators.jacobian import Supervisor
 
 NEVER = 1 << 40
 """Number of steps that no episode reaches."""
-PIXEL_NOISE = {"position_noise": 6.0, "color_noise": 14.0, "color_drift": 1.5, "size_noise": 0.3}
-"""Noise of detections in images, in the units of `CrowdFollower`."""
+IMAGE_VALUES = {
+    "position_noise": 6.0,
+    "color_noise": 14.0,
+    "color_drift": 1.5,
+    "size_noise": 0.3,
+    # Colors in images err alike for many frames, so that another person's can pass for evidence of a leap there.
+    "lose_rate": 0.001,
+}
+"""Values of `CrowdFollower` for detections in images that differ from its defaults, in its units."""
 UNSEEN_LIMIT = 60
 """Steps without the person after which the servo returns from the predicted to the last seen position."""
 
@@ -71,8 +78,8 @@ def create_crowd_agent(env: Any, values: Mapping[str, float] | None = None) -> C
     assert isinstance(controller.supervisor, Supervisor)
     # The follower itself says where to look for a person out of view.
     controller = replace(controller, supervisor=replace(controller.supervisor, unseen_limit=NEVER))
-    noise = PIXEL_NOISE if "image" in keys else {}
-    return CrowdServo(controller, with_values(CrowdFollower(), {**noise, **(values or {})}))
+    images = IMAGE_VALUES if "image" in keys else {}
+    return CrowdServo(controller, with_values(CrowdFollower(), {**images, **(values or {})}))
 
 
 def _checked(env: Any) -> tuple[float, set[str]]:
