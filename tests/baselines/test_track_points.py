@@ -395,15 +395,6 @@ def test_two_sensors_that_follow_each_other_closely_are_one_clock() -> None:
     assert len(track_points(points, model)) == 4
 
 
-def test_velocities_that_drift_are_no_noise_of_positions() -> None:
-    # A guess of a low detection probability makes tracks exchange targets, and the exchanges must not pass for noise.
-    points = moving(np.arange(150) * 0.5, 0.3, 1.5, 0.5, seed=2)
-    model, _ = measured_model(points)
-    assert model.measurement_noise == pytest.approx(0.3, rel=0.3) and model.detection > 0.8
-    assert model.process_noise == pytest.approx(1.5, rel=0.3)
-    assert len(track_points(points, model)) == 4
-
-
 def test_targets_that_stop_and_go_keep_their_identities() -> None:
     points = moving(np.arange(90.0), 1.0, 0.05, 1.0, seed=3, stops=True)
     model, _ = measured_model(points)

@@ -37,7 +37,7 @@ class PointModel(NamedTuple):
     """Parameters of a filter of points; everything per scan is per `period`.
 
     Attributes:
-        period: Median interval between scans, s.
+        period: Usual interval between scans, s: nine of ten are at most as long.
         low, high: Corners of the region. Shape (d,), m.
         process_noise: Square root of the spectral density of the acceleration, m/s^1.5.
         measurement_noise: Standard deviation of a coordinate, m; None if the file has covariances.
