@@ -312,7 +312,7 @@ def _fitted(points: PointScans, model: PointModel, own: _Own) -> PointModel:
     process, measurement, _ = _most_likely(points, model, own)
     velocities = np.concatenate([one.states[:, 1::2] for one in trajectories])
     return model._replace(
-        agility=model.agility * model.process_noise / process if model.maneuver > 0.0 else 1.0,
+        agility=max(model.agility * model.process_noise / process, 1.0) if model.maneuver > 0.0 else 1.0,
         process_noise=process,
         measurement_noise=None if model.measurement_noise is None else max(measurement, LEAST_NOISE * side_of(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
@@ -344,7 +344,7 @@ def _most_likely(points: PointScans, model: PointModel, own: _Own) -> tuple[floa
             for b in (0.0,) if fixed else factors[::-1]:
                 trial = center + np.array([a, b])
                 process, noise = 2.0 ** trial[0], 2.0 ** trial[1]
-                agility = most_noise / process
+                agility = max(most_noise / process, 1.0)
                 value = _log_likelihood(*arrays, process, noise, model.speed, model.maneuver, agility, model.period)
                 if value > most + _EQUAL:
                     best, most = trial, value
