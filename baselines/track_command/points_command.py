@@ -133,9 +133,12 @@ def _model_grid(points: PointScans, model: PointModel) -> Grid:
     """Table of the parameters and of how each was measured."""
     extent = " x ".join(f"{side:.4g}" for side in model.high - model.low)
     given = model.measurement_noise is None
+    maneuvers = f"one step in {1.0 / model.maneuver:.0f}, noise x {model.agility:.3g}" if model.maneuver else "none"
+    densest = 1.0 if model.clutter_map is None else float(model.clutter_map.density.max())
+    clutter = "uniform" if densest == 1.0 else f"up to {densest:.2g} times as dense"
     rows = [
-        ["interval", f"{model.period:.4g} s", "median of the time steps"],
-        ["region", f"{extent} m", "bounds of all points and 2 %; clutter is uniform in it"],
+        ["interval", f"{model.period:.4g} s", "nine of ten time steps are at most as long"],
+        ["region", f"{extent} m", "bounds of all points and 2 %"],
         [
             "position noise",
             "columns" if given else f"{model.measurement_noise:.4g} m",
@@ -144,9 +147,10 @@ def _model_grid(points: PointScans, model: PointModel) -> Grid:
         ["process noise", f"{model.process_noise:.4g} m/s^1.5", "likelihood of the tracks' points"],
         ["speed", f"{model.speed:.4g} m/s", "root mean square of the tracks' velocities, per axis"],
         ["detection", f"{model.detection:.3f}", "share of the scans inside tracks with a point in the gate"],
-        ["clutter", f"{model.clutter_rate:.4g} per scan", "points that belong to no track"],
-        ["births", f"{model.births:.4g} per scan", "tracks that start after the first tenth of the scans"],
-        ["survival", f"{model.survival:.4g} per scan", "ends of tracks"],
+        ["maneuvers", maneuvers, "ends and beginnings of tracks"],
+        ["clutter", f"{model.clutter_rate:.4g} per scan, {clutter}", "points that belong to no track"],
+        ["births", f"{model.births:.4g} per interval", "tracks that start after the first tenth of the scans"],
+        ["survival", f"{model.survival:.4g} per interval", "ends of tracks"],
         ["smoothing lag", f"{smoothing_lag(points, model)} scans", "five detections of a target, 10 to 30 scans"],
     ]
     return Grid(["parameter", "measured by", "value"], [[name, how, value] for name, value, how in rows], 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from servotrack.estimators.rfs.histories import (
 )
 from servotrack.estimators.rfs.interacting_kernel import ONE_MODE
 from servotrack.estimators.rfs.mixture import Mixture, empty_mixture
-from servotrack.estimators.rfs.models import PairwiseMarkovModel
+from servotrack.estimators.rfs.models import MovingModel
 from servotrack.estimators.rfs.pmb import PMBState
 from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
@@ -169,9 +169,7 @@ class TrajectoryPMB(PoissonTrackFilter[TrajectoryPMBState]):
     @cached_property
     def _maneuver_noise(self) -> Array:
         """Process noise of a maneuver in excess of the usual one. Shape (n, n)."""
-        model = self.model
-        assert not isinstance(model, PairwiseMarkovModel)
-        return (self.agility**2 - 1.0) * model.process_noise
+        return (self.agility**2 - 1.0) * cast(MovingModel, self.model).process_noise
 
     def _interval_changes(self, dt: float) -> dict[str, Any]:
         changes = super()._interval_changes(dt)

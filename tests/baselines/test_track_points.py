@@ -16,7 +16,7 @@ from servotrack.baselines.reporting.trajectory_files import read_trajectories
 from servotrack.envs.track.files.points import GeographicOrigin, PointScans, read_point_truth, read_points
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.envs.track.points.measured_model import measured_model
-from servotrack.envs.track.points.point_model import track_points
+from servotrack.envs.track.points.point_model import clutter_intensity, track_points
 
 GOOD = "time,x,y\n0,0,0\n0,5,5\n1,1,0\n2,,\n3,3,0\n"
 
@@ -395,15 +395,6 @@ def test_two_sensors_that_follow_each_other_closely_are_one_clock() -> None:
     assert len(track_points(points, model)) == 4
 
 
-def test_velocities_that_drift_are_no_noise_of_positions() -> None:
-    # A guess of a low detection probability makes tracks exchange targets, and the exchanges must not pass for noise.
-    points = moving(np.arange(150) * 0.5, 0.3, 1.5, 0.5, seed=2)
-    model, _ = measured_model(points)
-    assert model.measurement_noise == pytest.approx(0.3, rel=0.3) and model.detection > 0.8
-    assert model.process_noise == pytest.approx(1.5, rel=0.3)
-    assert len(track_points(points, model)) == 4
-
-
 def test_targets_that_stop_and_go_keep_their_identities() -> None:
     points = moving(np.arange(90.0), 1.0, 0.05, 1.0, seed=3, stops=True)
     model, _ = measured_model(points)
@@ -421,6 +412,15 @@ def test_clutter_from_one_place_is_not_a_crowd() -> None:
     assert model.clutter_map is not None and model.clutter_map(np.array([[300.0, 300.0]]))[0] > 20.0
     assert model.clutter_rate == pytest.approx(6.5, rel=0.2)
     assert len(track_points(points, model)) < 7
+    intensity = clutter_intensity(model)
+    assert not isinstance(intensity, float)
+    # The mean over the region is that of uniform clutter.
+    axes = [
+        np.linspace(low, high, 161)[:-1] + (high - low) / 320 for low, high in zip(*model.clutter_map[:2], strict=True)
+    ]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    area = float(np.prod(model.high - model.low))
+    assert float(intensity(places).mean()) * area == pytest.approx(model.clutter_rate)
     uniform, _ = measured_model(scene(2.0, 0.95, 3.0)[0])
     assert uniform.clutter_map is None
 

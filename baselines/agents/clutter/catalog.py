@@ -116,7 +116,7 @@ def _gaussian(
         return filter_class(
             scene.hidden_markov if settings.hidden_markov else scene.model,
             _birth(scene),
-            clutter_intensity=scene.clutter_intensity,
+            clutter_intensity=scene.clutter_map or scene.clutter_intensity,
             survival=scene.survival_probability,
             detection=scene.detection_probability,
             extraction=settings.extraction,
@@ -156,7 +156,8 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
 
 def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
     made = _gaussian(TrajectoryPMB, lambda capacity: Reduction(components=5, tracks=capacity))(scene, settings)
-    return replace(made, lag=scene.lag)
+    pairwise = made.model.packed.pairwise
+    return replace(made, lag=scene.lag, maneuver=0.0 if pairwise else scene.maneuver, agility=scene.agility)
 
 
 def _robust_trajectories(scene: SceneModel, settings: FilterSettings) -> RobustTrajectoryPMB:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,9 @@ class SceneModel(NamedTuple):
         least_existence: Existence below which a filter may drop a track. It must be below that of a target's first
             detection, which is small where new targets may appear anywhere.
         spawn: Targets that split off others.
+        clutter_map: Clutter intensity as a function of measurements (Z, m), of the same rate; None: uniform.
+        maneuver: Probability of a maneuver in one period; 0 if targets do not stop or turn suddenly.
+        agility: Factor on the process noise in a maneuver.
     """
 
     model: Model
@@ -57,6 +61,9 @@ class SceneModel(NamedTuple):
     lag: int = 0
     least_existence: float = 1e-3
     spawn: tuple[Spawn, ...] = ()
+    clutter_map: Callable[[Array], Array] | None = None
+    maneuver: float = 0.0
+    agility: float = 1.0
 
     @property
     def clutter_intensity(self) -> float:

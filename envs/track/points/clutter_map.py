@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
-from servotrack.estimators.types import Array
+from servotrack.estimators.types import Array, Labels
 
 _CELLS = {2: 16, 3: 8}
 """Cells along each axis, by the number of axes."""
@@ -34,10 +36,11 @@ class ClutterMap(NamedTuple):
         return np.asarray(self.density[_cells(places, self.low, self.high)], dtype=np.float64)
 
 
-class MappedClutter(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class MappedClutter:
     """Clutter intensity of a set filter, a function of the measurement.
 
-    Attributes:
+    Args:
         intensity: Mean intensity, per unit of measurement space.
         relative: The map.
     """
@@ -75,7 +78,7 @@ def may_be_mapped(places: Array, low: Array, high: Array) -> bool:
     return bool(counts.max() >= _HOT * counts.mean())
 
 
-def _cells(places: Array, low: Array, high: Array) -> tuple[Array, ...]:
+def _cells(places: Array, low: Array, high: Array) -> tuple[Labels, ...]:
     """Index of the cell of each position, one array per axis."""
     cells = _CELLS[len(low)]
     index = np.floor((places - low) / (high - low) * cells)
@@ -83,6 +86,6 @@ def _cells(places: Array, low: Array, high: Array) -> tuple[Array, ...]:
 
 
 def _counts(places: Array, low: Array, high: Array) -> Array:
-    counts = np.zeros((_CELLS[len(low)],) * len(low))
-    np.add.at(counts, _cells(places, low, high), 1.0)
-    return counts
+    shape = (_CELLS[len(low)],) * len(low)
+    at = np.ravel_multi_index(_cells(places, low, high), shape)
+    return np.bincount(at, minlength=math.prod(shape)).reshape(shape).astype(np.float64)

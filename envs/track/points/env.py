@@ -36,7 +36,8 @@ class RecordedPointsEnv(TrackEnv):
     The attribute `scene_model`, a `servotrack.envs.track.clutter.scene_model.SceneModel`, holds the parameters that
     agents may use: motion, position noise, detection probability, clutter, births and survival. They are measured from
     the first 300 scans of the file, without the truth, as `servotrack track` measures them; this takes some seconds
-    when an agent first reads the attribute. What is per scan is per median interval.
+    when an agent first reads the attribute. What is per scan is per usual interval,
+    the one that nine of ten intervals do not exceed.
 
     ## Action Space
 

@@ -28,6 +28,8 @@ from servotrack.estimators.types import Array, Labels
 _ROUNDS = 3
 _FITTED_SCANS = 300
 """Scans that the parameters are measured on: the first ones in which tracks are found."""
+_FITTED_POINTS = 20_000
+"""Points after which a part ends, if it has a fifth of these scans."""
 _PARTS = 20
 """Largest number of such parts that are tried."""
 _CHANCE = 0.05
@@ -90,7 +92,10 @@ def _parts(points: PointScans) -> Iterator[PointScans]:
     starts = np.arange(min(first, len(points.times) - 2), len(points.times) - 1, _FITTED_SCANS)
     # An hour without a target has nothing to measure.
     for start in starts[np.unique(np.linspace(0, len(starts) - 1, min(len(starts), _PARTS)).round().astype(int))]:
-        part = slice(start, start + _FITTED_SCANS)
+        size = np.cumsum([len(scan) for scan in points.scans[start : start + _FITTED_SCANS]])
+        # A crowd says as much in fewer scans.
+        part = slice(start, start + max(int(np.searchsorted(size, _FITTED_POINTS)) + 1, _FITTED_SCANS // 5))
+        part = slice(start, min(part.stop, start + _FITTED_SCANS))
         if any(map(len, points.scans[part])):
             yield points._replace(
                 times=points.times[part],
@@ -312,7 +317,7 @@ def _fitted(points: PointScans, model: PointModel, own: _Own) -> PointModel:
     process, measurement, _ = _most_likely(points, model, own)
     velocities = np.concatenate([one.states[:, 1::2] for one in trajectories])
     return model._replace(
-        agility=model.agility * model.process_noise / process if model.maneuver > 0.0 else 1.0,
+        agility=max(model.agility * model.process_noise / process, 1.0) if model.maneuver > 0.0 else 1.0,
         process_noise=process,
         measurement_noise=None if model.measurement_noise is None else max(measurement, LEAST_NOISE * side_of(points)),
         detection=float(np.clip((detected + 1.0) / (inside + 2.0), 0.02, 0.99)),
@@ -344,7 +349,7 @@ def _most_likely(points: PointScans, model: PointModel, own: _Own) -> tuple[floa
             for b in (0.0,) if fixed else factors[::-1]:
                 trial = center + np.array([a, b])
                 process, noise = 2.0 ** trial[0], 2.0 ** trial[1]
-                agility = most_noise / process
+                agility = max(most_noise / process, 1.0)
                 value = _log_likelihood(*arrays, process, noise, model.speed, model.maneuver, agility, model.period)
                 if value > most + _EQUAL:
                     best, most = trial, value

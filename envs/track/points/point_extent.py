@@ -15,7 +15,7 @@ _RESOLUTION = 1e-9
 _FAR, _MOST = 30.0, 0.95
 """Distance of a far point in distances within which this share of the points lies."""
 _SMALLEST = 1e-15
-"""Smallest median time step, s, and extent of all points, m."""
+"""Smallest usual time step, s, and extent of all points, m."""
 _STEPS = (1e-6, 1e9)
 """Least time step and longest time of a file, in usual steps."""
 _USUAL = 0.9

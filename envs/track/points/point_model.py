@@ -37,7 +37,7 @@ class PointModel(NamedTuple):
     """Parameters of a filter of points; everything per scan is per `period`.
 
     Attributes:
-        period: Median interval between scans, s.
+        period: Usual interval between scans, s: nine of ten are at most as long.
         low, high: Corners of the region. Shape (d,), m.
         process_noise: Square root of the spectral density of the acceleration, m/s^1.5.
         measurement_noise: Standard deviation of a coordinate, m; None if the file has covariances.
@@ -137,11 +137,10 @@ def tracked(points: PointScans, model: PointModel) -> list[Trajectory]:
 
 def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
     center, covariance = birth_place(model)
-    intensity = model.clutter_rate / float(np.prod(model.high - model.low))
     return TrajectoryPMB(
         motion_of(points, model),
         Birth(np.array([min(model.births, 1.0)]), center[None], covariance),
-        clutter_intensity=intensity if model.clutter_map is None else MappedClutter(intensity, model.clutter_map),
+        clutter_intensity=clutter_intensity(model),
         survival=model.survival,
         detection=model.detection,
         reduction=Reduction(components=5, existence=LEAST_EXISTENCE),
@@ -149,6 +148,12 @@ def _tracker(points: PointScans, model: PointModel) -> TrajectoryPMB:
         maneuver=model.maneuver,
         agility=model.agility,
     )
+
+
+def clutter_intensity(model: PointModel) -> float | MappedClutter:
+    """Expected number of false measurements in a scan per unit of measurement space; a function where it varies."""
+    uniform = model.clutter_rate / float(np.prod(model.high - model.low))
+    return uniform if model.clutter_map is None else MappedClutter(uniform, model.clutter_map)
 
 
 def motion_of(points: PointScans, model: PointModel) -> HiddenMarkovModel:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from servotrack.envs.track.clutter.scene_model import SceneModel
+from servotrack.envs.track.points.clutter_map import MappedClutter
 from servotrack.envs.track.points.measured_model import measured_model
-from servotrack.envs.track.points.point_model import LEAST_EXISTENCE, birth_place, motion_of
+from servotrack.envs.track.points.point_model import LEAST_EXISTENCE, birth_place, clutter_intensity, motion_of
 from servotrack.envs.track.points.recording import PointRecording
 
 
 def scene_model_of(recording: PointRecording) -> SceneModel:
     """Measure the scene model of recorded points on the first 300 scans of their source; see `measured_model`."""
     model, _ = measured_model(recording.whole)
-    motion = motion_of(recording.whole, model)
+    motion, intensity = motion_of(recording.whole, model), clutter_intensity(model)
     center, covariance = birth_place(model)
     low, high = recording.region
     return SceneModel(
@@ -32,4 +33,7 @@ def scene_model_of(recording: PointRecording) -> SceneModel:
         cutoff=recording.cutoff,
         lag=recording.lag,
         least_existence=LEAST_EXISTENCE,
+        clutter_map=intensity if isinstance(intensity, MappedClutter) else None,
+        maneuver=model.maneuver,
+        agility=model.agility,
     )
