@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 import servotrack  # noqa: F401
+from servotrack.baselines.agents.registry import agent_card
 from servotrack.baselines.board.equal_forms import FORMS, REFERENCES, divided, form_means, pool_scores
 from servotrack.baselines.board.suites import Suite, load_suite
 from servotrack.baselines.board.verification import SUSPICIOUS
@@ -42,8 +43,10 @@ Scores = Mapping[str, Array]
 
 
 def scores_of(suite: Suite, agent: str, env_id: str) -> Scores:
-    """Return the scores of an agent on the pools of a world's cells."""
-    return {cell.name: pool_scores(suite, cell, agent) for cell in suite.cells if cell.env_id == env_id}
+    """Return the scores of an agent on the pools of a world's cells, those that it was made for."""
+    made_for = agent_card(agent).trained_in
+    cells = [cell for cell in suite.cells if cell.env_id == env_id and (made_for is None or cell.name in made_for)]
+    return {cell.name: pool_scores(suite, cell, agent) for cell in cells}
 
 
 def luckiest(means: Array) -> float:
@@ -85,8 +88,9 @@ def gain_on_forms(scores: Scores, references: Sequence[Scores]) -> float:
 
 
 def correlation(a: Scores, b: Scores) -> float:
-    """Return the correlation of two agents' scores over seeds, within cells."""
-    both = [np.concatenate([values - values.mean() for values in scores.values()]) for scores in (a, b)]
+    """Return the correlation of two agents' scores over seeds, within the cells of both."""
+    shared = [name for name in a if name in b]
+    both = [np.concatenate([scores[name] - scores[name].mean() for name in shared]) for scores in (a, b)]
     return float(np.corrcoef(both)[0, 1])
 
 

@@ -234,7 +234,7 @@ def test_worlds_without_an_arm_have_replays(env_id: str, kwargs: dict[str, Any],
     scene = made.scenes[SEEDS[0]].packed(packer)
     answers = made.motions[SEEDS[0]].packed(packer)
     assert (scene["form"], scene["steps"]) == (form, kwargs["horizon"])
-    assert answers["tracks"][0] and len(unpacked({"curves": packer.curves, "samples": packer.text()})) > 2
+    assert answers["tracks"][0] and len(unpacked({"curves": packer.curves, "samples": packer.text()})) > 1
 
 
 def test_a_race_has_both_opponents_on_every_seed(site: Path) -> None:

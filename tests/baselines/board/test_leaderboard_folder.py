@@ -36,9 +36,11 @@ def test_verdicts_are_about_the_present_submissions(suite: str) -> None:
         assert verdict.badge != "self-reported"
 
 
-def test_the_page_shows_the_example() -> None:
+def test_the_pages_show_the_examples() -> None:
     page = (ROOT / "docs" / "board.md").read_text(encoding="utf-8")
     assert f"```python\n{(EXAMPLES / 'agent.py').read_text(encoding='utf-8')}```" in page
+    observer = (EXAMPLES / "observer.py").read_text(encoding="utf-8")
+    assert f"```python\n{observer}```" in (ROOT / "docs" / "board-observer.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -7,17 +7,19 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from board_cases import EXAMPLES, judged, program, submitted
+from board_cases import EXAMPLES, judged, program, submitted, write_suite
 
 from servotrack.baselines.board import message_agent, sandbox
 from servotrack.baselines.board.message_agent import MessageError
+from servotrack.baselines.board.replay import Episode, ReplayError, replayed
 from servotrack.baselines.board.sandbox import bubblewrap, confined
 from servotrack.baselines.board.submission import read_submission
 from servotrack.baselines.board.submit import command_candidate
-from servotrack.baselines.board.suites import load_suite
+from servotrack.baselines.board.suites import behavior_of, load_suite
 
 LOOP = "import json, sys\nfor line in sys.stdin:\n    m = json.loads(line)\n    if 'observation' not in m: continue\n"
 STILL = LOOP + "    print([0.0, 0.0], flush=True)\n"
@@ -44,6 +46,39 @@ def test_the_examples_give_the_same_actions_in_three_languages(tmp_path: Path, s
         assert (judged(folder, suite).badge, submission.information) == ("replayed", "undeclared")
     for points in played.values():
         assert all(np.array_equal(a, b) for a, b in zip(points, played["py"], strict=True))
+
+
+def clutter_suite(folder: Path, **kwargs: Any) -> Path:
+    """Write a suite of one cell with points in clutter."""
+    behavior = behavior_of("ClutterTracking-v0", kwargs)
+    fields = {"env_id": "ClutterTracking-v0", "env_kwargs": kwargs, "anchors": [100.0, 1.0], "behavior": behavior}
+    return write_suite(folder, **fields)
+
+
+def test_an_observer_of_points_answers_by_rows(tmp_path: Path) -> None:
+    suite = clutter_suite(tmp_path, level=4, horizon=25)
+    text = (EXAMPLES / "observer.py").read_text(encoding="utf-8")
+    folder = submitted(tmp_path / "out", suite, program(tmp_path / "observer.py", text))
+    assert judged(folder, suite).badge == "replayed"
+    submission = read_submission(folder, load_suite(str(suite)))
+    assert submission.cells[0].cell.scores(submission.cells[0].rows["public"]).min() > 0.1
+    # Episodes that never end are compared without being stepped or held.
+    endless = [Episode(episode.seed, np.resize(episode.points, (20_000, episode.points.shape[1])))
+               for episode in submission.cells[0].episodes()]  # fmt: skip
+    rows = replayed(submission.suite, submission.cells[0].cell, endless)
+    assert all(isinstance(row, ReplayError) and "ends after 25 steps" in str(row) for row in rows)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    ["[0.9, 1.0, 2.0]", "[[0.9, 1.0]]", "[[[0.9, 1.0, 2.0]]]", "[[0.9, 1.0, true]]", "[[]]", str([[0, 0, 0]] * 97)],
+)
+def test_rows_of_an_answer_are_checked(tmp_path: Path, answer: str) -> None:
+    suite = clutter_suite(tmp_path, level=1, horizon=5)
+    with pytest.raises(MessageError, match="an action is at most 96 rows, each a list of 3 numbers"):
+        submitted(
+            tmp_path / "out", suite, program(tmp_path / "agent.py", LOOP + f"    print('{answer}', flush=True)\n")
+        )
 
 
 @needs_bubblewrap
