@@ -94,7 +94,7 @@ class ServoController:
     limits: JointLimits | None = None
     period: float | None = None
 
-    _chosen: dict[int, tuple[ControlLaw, ExploratoryMoves]] = field(
+    _chosen: dict[int, tuple[ControlLaw, ExploratoryMoves, bool]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -118,7 +118,7 @@ class ServoController:
         Raises:
             ValueError: As the estimator does for a bad measurement, or joint angles far outside the limits.
         """
-        law, excitation = self._parts(0)
+        law, excitation, bounded = self._parts(0)
         supervisor = self._watch()
         estimator_state = self.estimator.initial(measurement)
         if self.limits is not None:
@@ -129,7 +129,7 @@ class ServoController:
             excitation=excitation.initial(measurement),
             supervisor=None if supervisor is None else supervisor.initial(measurement),
             commanded=np.zeros(np.shape(measurement.joint_angles)),
-            goal=begin_goal(*_goal(measurement)) if isinstance(law, BoundedLaw) else None,
+            goal=begin_goal(*_goal(measurement)) if bounded else None,
             time=np.array(measurement.time, np.float64),
             period=np.full(np.shape(measurement.time), self.period or PERIOD),
         )
@@ -149,15 +149,15 @@ class ServoController:
         if self.period is None:
             means, slowest = _mean_periods(period.reshape(-1), state.time.reshape(-1), time.reshape(-1))
             period, slowness = means.reshape(time.shape), _slowness(slowest)
-        law, excitation = self._parts(slowness)
+        law, excitation, bounded = self._parts(slowness)
         supervisor = self._watch()
         goal = state.goal
         if goal is not None:
             goal, velocity = goal_velocity(goal, *_goal(measurement))
             estimate = _relative(estimate, velocity)
-        if self.limits is not None and isinstance(law, BoundedLaw):
+        if self.limits is not None and bounded:
             room = self.limits.room(np.asarray(measurement.joint_angles, np.float64))
-            law_state, rate = law.rate(state.law, estimate, *room)
+            law_state, rate = cast(BoundedLaw, law).rate(state.law, estimate, *room)
         else:
             law_state, rate = law.rate(state.law, estimate)
         watch, active = state.supervisor, excitation.active(state.excitation)
@@ -210,15 +210,19 @@ class ServoController:
     def _certain(self) -> bool:
         return bool(getattr(self.estimator, "row_covariances", False))
 
-    def _parts(self, slowness: int) -> tuple[ControlLaw, ExploratoryMoves]:
-        """Law and exploratory moves for a slowness, see `_slowness`: chosen ones change with it, given ones do not."""
+    def _parts(self, slowness: int) -> tuple[ControlLaw, ExploratoryMoves, bool]:
+        """Law, exploratory moves, and True if the law is a `BoundedLaw`, for a slowness, see `_slowness`.
+
+        Chosen parts change with it, given ones do not.
+        """
         if slowness not in self._chosen:
             law, excitation = cast(ControlLaw, self.law), cast(ExploratoryMoves, self.excitation)
             usual, slower = self._usual(self.period or PERIOD), self._usual(PERIOD * SLOWER**slowness)
             if slowness > 0:
                 law = slower[0] if law == usual[0] else law
                 excitation = slower[1] if excitation == usual[1] else excitation
-            self._chosen[slowness] = (law, excitation)
+            # A protocol takes longer to check than a law to compute.
+            self._chosen[slowness] = (law, excitation, isinstance(law, BoundedLaw))
         return self._chosen[slowness]
 
     def _usual(self, period: float) -> tuple[ControlLaw, ExploratoryMoves]:
