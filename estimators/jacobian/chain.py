@@ -39,9 +39,6 @@ from servotrack.estimators.jacobian.measurement import checked
 from servotrack.estimators.types import Array, Mask
 from servotrack.estimators.validation import as_mask, as_numbers
 
-FOCAL_UNIT = 600.0
-"""Focal length of the image in which the chain is fitted, px: features are scaled to it by the expected one."""
-
 
 class ChainState(NamedTuple):
     """State of `ChainJacobian`.
@@ -50,7 +47,7 @@ class ChainState(NamedTuple):
         linear: State of the linear filter.
         alignment: Encoder history and newest frame; the features' mask counts as m further features.
         center: Expected principal point. Shape (*batch, 2), px.
-        scale: Expected focal length, in units of `FOCAL_UNIT`. Shape (*batch,).
+        scale: Expected focal length, in units of `ChainJacobian.focal_unit`. Shape (*batch,).
         seen_joints: Joint angles of the newest frame that showed each feature. Shape (*batch, m, n), rad.
         seen_features: Each feature in it. Shape (*batch, m), px.
         seen_time: Instant of it. Shape (*batch, m), s.
@@ -171,6 +168,7 @@ class ChainJacobian:
     alignment: Alignment = field(default_factory=Alignment)
 
     row_covariances: ClassVar[bool] = True
+    focal_unit: ClassVar[float] = 600.0
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
@@ -296,12 +294,12 @@ class ChainJacobian:
             chained=chained,
             parameters=output.parameters,
             reverse=np.take_along_axis(chain.reverse, output.best[..., None], axis=-1)[..., 0],
-            focal=FOCAL_UNIT * state.scale,
+            focal=self.focal_unit * state.scale,
             angles=frame.present - chain.origin,
         )
 
     def _optics(self, whole: ServoMeasurement) -> tuple[Array, Array]:
-        """Expected principal point (*batch, 2), px, and focal length (*batch,), in units of `FOCAL_UNIT`."""
+        """Expected principal point (*batch, 2), px, and focal length (*batch,), in units of `focal_unit`."""
         features = np.where(whole.visible, whole.features, whole.goal)
         center, extent = np.empty((*whole.time.shape, 2)), np.empty((*whole.time.shape, 2))
         for axis in range(2):
@@ -310,11 +308,11 @@ class ChainJacobian:
             center[..., axis] = middle if self.center is None else self.center[axis]
             extent[..., axis] = both.max(axis=(0, -1)) - both.min(axis=(0, -1))
         if self.focal is not None:
-            return center, np.full(whole.time.shape, self.focal / FOCAL_UNIT)
+            return center, np.full(whole.time.shape, self.focal / self.focal_unit)
         # Of an image whose coordinates begin at its corner, the focal length is about the width.
         focal = np.maximum(np.abs(center).sum(axis=-1), np.hypot(extent[..., 0], extent[..., 1]))
-        focal = np.where(focal > 0.0, focal, FOCAL_UNIT)
-        return center, np.clip(focal, 1e-3, 1e6) / FOCAL_UNIT
+        focal = np.where(focal > 0.0, focal, self.focal_unit)
+        return center, np.clip(focal, 1e-3, 1e6) / self.focal_unit
 
     def _memory(self, batch: tuple[int, ...], joints: int, features: int) -> ChainMemory:
         points, m = features // 2, features
@@ -365,7 +363,7 @@ class ChainJacobian:
             )
         numbers: dict[str, Any] = {name: float(getattr(self, name)) for name in _POSITIVE}
         return ChainSettings(
-            focal=FOCAL_UNIT,
+            focal=self.focal_unit,
             **numbers,
             turning=turning,
             iterations=int(self.iterations),

@@ -23,10 +23,22 @@ from servotrack.estimators.jacobian.supervisor import Supervisor
 from servotrack.estimators.stateful import select_rows
 from servotrack.estimators.types import Array
 
-PERIOD = 0.05
-"""Control period of the chosen parts where none is given, s."""
-SLOWER = 1.1
-"""Ratio of the periods for which parts are chosen."""
+
+class Pace(NamedTuple):
+    """Control periods of the chosen parts where none is given.
+
+    Attributes:
+        period: Shortest one, s.
+        ratio: Ratio of one to the next.
+        least: Number of such steps below which a period counts as the shortest one.
+    """
+
+    period: float = 0.05
+    ratio: float = 1.1
+    least: int = 3
+
+
+_PACE = Pace()
 
 
 class ControllerState(NamedTuple):
@@ -104,7 +116,7 @@ class ServoController:
             if value is not None and not 0.0 < value < np.inf:
                 unit = "rad/s" if name == "max_joint_rate" else "s"
                 raise ValueError(f"{name} must be finite and > 0 {unit}, got {value}")
-        law, excitation = self._usual(self.period or PERIOD)
+        law, excitation = self._usual(self.period or _PACE.period)
         if self.law is None:
             object.__setattr__(self, "law", law)
         if self.excitation is None:
@@ -131,7 +143,7 @@ class ServoController:
             commanded=np.zeros(np.shape(measurement.joint_angles)),
             goal=begin_goal(*_goal(measurement)) if bounded else None,
             time=np.array(measurement.time, np.float64),
-            period=np.full(np.shape(measurement.time), self.period or PERIOD),
+            period=np.full(np.shape(measurement.time), self.period or _PACE.period),
         )
 
     def step(self, state: ControllerState, measurement: ServoMeasurement) -> tuple[ControllerState, Array]:
@@ -147,7 +159,7 @@ class ServoController:
         time = np.array(measurement.time, np.float64)
         period, slowness = state.period, 0
         if self.period is None:
-            means, slowest = _mean_periods(period.reshape(-1), state.time.reshape(-1), time.reshape(-1))
+            means, slowest = _mean_periods(period.reshape(-1), state.time.reshape(-1), time.reshape(-1), _PACE.period)
             period, slowness = means.reshape(time.shape), _slowness(slowest)
         law, excitation, bounded = self._parts(slowness)
         supervisor = self._watch()
@@ -217,7 +229,7 @@ class ServoController:
         """
         if slowness not in self._chosen:
             law, excitation = cast(ControlLaw, self.law), cast(ExploratoryMoves, self.excitation)
-            usual, slower = self._usual(self.period or PERIOD), self._usual(PERIOD * SLOWER**slowness)
+            usual, slower = self._usual(self.period or _PACE.period), self._usual(_PACE.period * _PACE.ratio**slowness)
             if slowness > 0:
                 law = slower[0] if law == usual[0] else law
                 excitation = slower[1] if excitation == usual[1] else excitation
@@ -237,9 +249,9 @@ class ServoController:
 
 
 @njit(cache=True, nogil=True)
-def _mean_periods(periods, before, now):  # type: ignore[no-untyped-def]
+def _mean_periods(periods, before, now, shortest):  # type: ignore[no-untyped-def]
     """Return running means of the time between two steps, in which a pause counts little, and the largest of them."""
-    means, largest = periods.copy(), PERIOD
+    means, largest = periods.copy(), shortest
     for row in range(len(now)):
         passed = min(now[row] - before[row], 2.0 * periods[row])
         if passed > 0.0:
@@ -249,9 +261,9 @@ def _mean_periods(periods, before, now):  # type: ignore[no-untyped-def]
 
 
 def _slowness(period: float) -> int:
-    """Number of steps of a geometric scale by which a period is longer than `PERIOD`; 0 for less than three."""
-    steps = round(math.log(period / PERIOD) / math.log(SLOWER))
-    return steps if steps >= 3 else 0
+    """Number of steps by which a period is longer than the shortest one, see `Pace`."""
+    steps = round(math.log(period / _PACE.period) / math.log(_PACE.ratio))
+    return steps if steps >= _PACE.least else 0
 
 
 def _goal(measurement: ServoMeasurement) -> tuple[Array, Array]:
