@@ -47,6 +47,7 @@ class ChainState(NamedTuple):
         linear: State of the linear filter.
         alignment: Encoder history and newest frame; the features' mask counts as m further features.
         center: Expected principal point. Shape (*batch, 2), px.
+        scale: Expected focal length, in units of `ChainJacobian.focal_unit`. Shape (*batch,).
         seen_joints: Joint angles of the newest frame that showed each feature. Shape (*batch, m, n), rad.
         seen_features: Each feature in it. Shape (*batch, m), px.
         seen_time: Instant of it. Shape (*batch, m), s.
@@ -58,6 +59,7 @@ class ChainState(NamedTuple):
     linear: Any
     alignment: AlignmentState
     center: Array
+    scale: Array
     seen_joints: Array
     seen_features: Array
     seen_time: Array
@@ -78,12 +80,13 @@ class ChainJacobian:
     Args:
         linear: Linear filter, for whose features an entry of `visible` each is valid. It serves until the chain is as
             good.
-        focal: Expected focal length, px; about the width of the image.
+        focal: Expected focal length, px; about the width of the image. None: the sum of the expected principal point's
+            coordinates, or the extent of the features and their goal in the first measurement if that is larger.
         focal_spread: Prior standard deviation of its logarithm. Larger values need more motion to find it.
         center: Expected principal point, px; usually the middle of the image. None: the middle of the goal's features
             in the first measurement.
-        center_spread: Prior standard deviation of each of its coordinates, px. Larger values need more motion, 0.01
-            makes it known.
+        center_spread: Prior standard deviation of each of its coordinates, as a share of the expected focal length.
+            Larger values need more motion, 1e-5 makes it known.
         revolute: True for each joint that turns, False for those that slide; None: all turn. Shape (n,).
         keyframes: Number K of stored postures, at least 2. Larger values keep more of the past; computing time grows in
             proportion.
@@ -95,7 +98,8 @@ class ChainJacobian:
             wrong scales.
         caution: Deviation of an axis' length and pitch beyond that, in deviations of a feature divided by what the
             joint has moved the image. Larger values learn a new joint more freely and use less of what is known.
-        noise: Expected standard deviation of a feature, px; it is estimated online.
+        noise: Expected standard deviation of a feature, px of a camera whose focal length is 600 px, as `least_noise`
+            and `drift`; it is estimated online.
         least_noise: Least estimate of it, px. Larger values trust the priors longer.
         freedom: Degrees of freedom of the noise (Student's t). Smaller values down-weight outliers more.
         most_frames: Number of frames that count at one posture. Larger values make the chain fit better where the arm
@@ -131,10 +135,10 @@ class ChainJacobian:
     """
 
     linear: JacobianEstimator = field(default_factory=AdaptiveKalmanJacobian)
-    focal: float = 600.0
-    focal_spread: float = 0.3
-    center: tuple[float, float] | None = (320.0, 240.0)
-    center_spread: float = 30.0
+    focal: float | None = None
+    focal_spread: float = 0.4
+    center: tuple[float, float] | None = None
+    center_spread: float = 0.06
     revolute: tuple[bool, ...] | None = None
     keyframes: int = 64
     axis_spread: float = 1.0
@@ -164,11 +168,14 @@ class ChainJacobian:
     alignment: Alignment = field(default_factory=Alignment)
 
     row_covariances: ClassVar[bool] = True
+    focal_unit: ClassVar[float] = 600.0
 
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
+        if self.focal is not None and not 0.0 < self.focal < np.inf:
+            raise ValueError(f"focal must be finite and > 0 px, or None, got {self.focal}")
         if self.center is not None and not (len(self.center) == 2 and np.isfinite(self.center).all()):
             raise ValueError(f"center must be two finite coordinates in px, or None, got {self.center}")
         if self.keyframes < 2:
@@ -183,7 +190,7 @@ class ChainJacobian:
             raise ValueError(f"memory must be at least 1 frame, got {self.memory}")
 
     def initial(self, measurement: ServoMeasurement) -> ChainState:
-        """State before the first frame. With `center=None` the goal is read.
+        """State before the first frame. With `center=None` or `focal=None` the goal and the features are read.
 
         Raises:
             ValueError: As `checked` and the linear filter do, or if the features are not two for each point.
@@ -197,15 +204,12 @@ class ChainJacobian:
                 "use AdaptiveKalmanJacobian for other features"
             )
         self.settings(n)
-        center = np.empty((*batch, 2))
-        for axis in range(2):
-            ends = whole.goal[..., axis::2]
-            middle = 0.5 * (ends.min(axis=-1) + ends.max(axis=-1))
-            center[..., axis] = middle if self.center is None else self.center[axis]
+        center, scale = self._optics(whole)
         return ChainState(
             linear=self.linear.initial(measurement),
             alignment=self.alignment.initial(_masked(whole)),
             center=center,
+            scale=scale,
             seen_joints=np.zeros((*batch, m, n)),
             seen_features=np.zeros((*batch, m)),
             seen_time=np.zeros((*batch, m)),
@@ -241,6 +245,7 @@ class ChainJacobian:
             linear=linear,
             alignment=alignment,
             center=state.center,
+            scale=state.scale,
             seen_joints=np.where(seen[..., None], joints[..., None, :], state.seen_joints),
             seen_features=np.where(seen, alignment.frame_features[..., :m], state.seen_features),
             seen_time=np.where(seen, time[..., None], state.seen_time),
@@ -249,7 +254,7 @@ class ChainJacobian:
             chain=memory,
         )
         offset = np.tile(state.center, m // 2) - whole.goal
-        return new, self._estimate(new, output, estimate, offset, frame.present - memory.origin)
+        return new, self._estimate(new, _in_pixels(output, frame, state.scale), estimate, offset, frame)
 
     def forget(self, state: ChainState) -> ChainState:
         """Forget all keyframes, and reset the linear filter's covariance if it can; the means stay."""
@@ -269,7 +274,7 @@ class ChainJacobian:
         )
 
     def _estimate(
-        self, state: ChainState, output: ChainOutput, linear: Any, offset: Array, angles: Array
+        self, state: ChainState, output: ChainOutput, linear: Any, offset: Array, frame: ChainFrame
     ) -> ChainEstimate:
         """Choose between chain and linear filter, feature by feature: points never seen are not part of the chain."""
         chain = state.chain
@@ -278,7 +283,7 @@ class ChainJacobian:
         if covariance is None:
             covariance = output.covariance
         if variance is None:
-            variance = np.where(state.seen, chain.noise[..., None], np.inf)
+            variance = np.where(state.seen, (chain.noise * state.scale**2)[..., None], np.inf)
         return ChainEstimate(
             error=np.where(chained, output.features + offset, linear.error),
             jacobian=np.where(chained[..., None], output.jacobian, linear.jacobian),
@@ -289,9 +294,25 @@ class ChainJacobian:
             chained=chained,
             parameters=output.parameters,
             reverse=np.take_along_axis(chain.reverse, output.best[..., None], axis=-1)[..., 0],
-            focal=np.full(output.best.shape, float(self.focal)),
-            angles=angles,
+            focal=self.focal_unit * state.scale,
+            angles=frame.present - chain.origin,
         )
+
+    def _optics(self, whole: ServoMeasurement) -> tuple[Array, Array]:
+        """Expected principal point (*batch, 2), px, and focal length (*batch,), in units of `focal_unit`."""
+        features = np.where(whole.visible, whole.features, whole.goal)
+        center, extent = np.empty((*whole.time.shape, 2)), np.empty((*whole.time.shape, 2))
+        for axis in range(2):
+            goal, both = whole.goal[..., axis::2], np.stack([whole.goal[..., axis::2], features[..., axis::2]])
+            middle = 0.5 * (goal.min(axis=-1) + goal.max(axis=-1))
+            center[..., axis] = middle if self.center is None else self.center[axis]
+            extent[..., axis] = both.max(axis=(0, -1)) - both.min(axis=(0, -1))
+        if self.focal is not None:
+            return center, np.full(whole.time.shape, self.focal / self.focal_unit)
+        # Of an image whose coordinates begin at its corner, the focal length is about the width.
+        focal = np.maximum(np.abs(center).sum(axis=-1), np.hypot(extent[..., 0], extent[..., 1]))
+        focal = np.where(focal > 0.0, focal, self.focal_unit)
+        return center, np.clip(focal, 1e-3, 1e6) / self.focal_unit
 
     def _memory(self, batch: tuple[int, ...], joints: int, features: int) -> ChainMemory:
         points, m = features // 2, features
@@ -321,6 +342,7 @@ class ChainJacobian:
             residual_power=np.full(batch, float(self.noise) ** 2),
             white=np.full(batch, float(self.noise) ** 2),
             residual=np.zeros((*batch, m)),
+            recent=np.zeros((*batch, m)),
             errors=np.zeros((*batch, 2)),
             failures=np.zeros(batch),
             served=np.zeros(batch),
@@ -341,7 +363,8 @@ class ChainJacobian:
             )
         numbers: dict[str, Any] = {name: float(getattr(self, name)) for name in _POSITIVE}
         return ChainSettings(
-            **numbers | {"center_spread": numbers["center_spread"] / numbers["focal"]},
+            focal=self.focal_unit,
+            **numbers,
             turning=turning,
             iterations=int(self.iterations),
             refit=int(self.refit),
@@ -349,7 +372,6 @@ class ChainJacobian:
 
 
 _POSITIVE = (
-    "focal",
     "focal_spread",
     "center_spread",
     "axis_spread",
@@ -414,16 +436,28 @@ def _frame(state: ChainState, alignment: AlignmentState, increment: Increment) -
         alignment.frame_joints.reshape(rows, n),
     ).reshape(features.shape)
     expected += state.jacobian[..., -1] * (alignment.frame_time[..., None] - state.seen_time)
+    scale = state.scale[..., None]
     return ChainFrame(
         fresh=fresh,
         angles=alignment.frame_joints,
-        features=np.where(seen, features - np.tile(state.center, m // 2), 0.0),
+        features=np.where(seen, (features - np.tile(state.center, m // 2)) / scale, 0.0),
         seen=seen,
         duration=increment.time,
-        linear_error=features - expected,
+        linear_error=(features - expected) / scale,
         compared=seen & state.seen,
         present=alignment.frame_joints + increment.pending_joints,
         pending=increment.pending_time,
+    )
+
+
+def _in_pixels(output: ChainOutput, frame: ChainFrame, scale: Array) -> ChainOutput:
+    """Results in px instead of parts of the expected focal length."""
+    return output._replace(
+        features=output.features * scale[..., None],
+        jacobian=output.jacobian * scale[..., None, None],
+        covariance=output.covariance * (scale * scale)[..., None, None, None],
+        variance=output.variance * (scale * scale)[..., None],
+        log_likelihood=output.log_likelihood - np.sum(frame.seen, axis=-1) * np.log(scale),
     )
 
 

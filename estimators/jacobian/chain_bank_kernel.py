@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +40,8 @@ def step_bank(  # type: ignore[no-untyped-def]
         frames: See `_advance_rows`.
         rows: See `_advance_rows`.
         linear: See `_advance_rows`.
-        seen: Fields of the `ChainState`s: `seen_joints`, `seen_features`, `seen_time`, `seen`, `jacobian` and `center`,
-            with a leading axis R.
+        seen: Fields of the `ChainState`s: `seen_joints`, `seen_features`, `seen_time`, `seen`, `jacobian`, `center` and
+            `scale`, with a leading axis R.
         memory: `ChainMemory` with a leading axis R.
         readings: `BankReadings`.
         log_weight: Logarithms of the weights. Shape (rows, K).
@@ -90,6 +91,7 @@ def _copied(memory):  # type: ignore[no-untyped-def]
         memory.residual_power.copy(),
         memory.white.copy(),
         memory.residual.copy(),
+        memory.recent.copy(),
         memory.errors.copy(),
         memory.failures.copy(),
         memory.served.copy(),
@@ -236,12 +238,15 @@ def _update_bank(  # type: ignore[no-untyped-def]
     error, jacobian, covariance = np.empty((rows, m)), np.empty((rows, m, n + 1)), np.empty((rows, m, n + 1, n + 1))
     variance, log_likelihood, nis = np.empty((rows, m)), np.empty(rows), np.empty(rows)
     chained, parameters, reverse = np.empty((rows, m), np.bool_), np.empty((rows, size)), np.empty(rows, np.bool_)
-    focal, angles = np.full(rows, settings.focal), np.empty((rows, n))
+    focal, angles = np.empty(rows), np.empty((rows, n))
     for row in range(rows):
         for k in range(count):
             r = row * count + k
             update_row(memory, frame, settings, output, r)
-            if not output.chained[r]:
+            if output.chained[r]:
+                # Densities of features in px, as those of the linear filter.
+                output.log_likelihood[r] -= np.sum(frame.seen[r]) * math.log(before[6][r])
+            else:
                 output.log_likelihood[r], output.nis[r] = linear[2][r], linear[3][r]
             weights[row, k] = weighting[0] * log_weight[row, k] + output.log_likelihood[r] / m
         for k in range(1, count):
@@ -254,14 +259,17 @@ def _update_bank(  # type: ignore[no-untyped-def]
         write_present(memory, frame, settings, output, r)
         log_likelihood[row], nis[row] = output.log_likelihood[r], output.nis[r]
         parameters[row], reverse[row] = output.parameters[r], memory.reverse[r, best]
+        scale = before[6][r]
+        focal[row] = settings.focal * scale
         for j in range(n):
             angles[row, j] = frame.present[r, j] - memory.origin[r, j]
         for i in range(m):
             chained[row, i] = output.chained[r] and memory.known[r, i // 2]
             if chained[row, i]:
-                error[row, i] = output.features[r, i] + (before[5][r, i % 2] - goal[row, i])
-                variance[row, i] = output.variance[r, i]
-                jacobian[row, i], covariance[row, i] = output.jacobian[r, i], output.covariance[r, i]
+                error[row, i] = output.features[r, i] * scale + (before[5][r, i % 2] - goal[row, i])
+                variance[row, i] = output.variance[r, i] * (scale * scale)
+                jacobian[row, i] = output.jacobian[r, i] * scale
+                covariance[row, i] = output.covariance[r, i] * (scale * scale)
             else:
                 error[row, i], variance[row, i] = linear[0][r, i], linear[5][r, i]
                 jacobian[row, i], covariance[row, i] = linear[1][r, i], linear[4][r, i]
@@ -317,7 +325,7 @@ def _normalize(weights, floor):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _frames(was_seen, before, aligned, foreseen):  # type: ignore[no-untyped-def]
     """Return the `ChainFrame`, and when each feature was last seen, see `ChainState`: joints, features, time, mask."""
-    joints, features, times, known, jacobian, center = before
+    joints, features, times, known, jacobian, center, scale = before
     seen, frame_time, frame_joints, frame_features = aligned[2], aligned[3], aligned[4], aligned[5]
     total, m, n = joints.shape
     joints, features, times, known = joints.copy(), features.copy(), times.copy(), known.copy()
@@ -327,10 +335,10 @@ def _frames(was_seen, before, aligned, foreseen):  # type: ignore[no-untyped-def
         fresh[r] = aligned[11][r] or (seen[r] and not was_seen[r])
         for i in range(m):
             expected = foreseen[r, i] + jacobian[r, i, n] * (frame_time[r] - times[r, i])
-            linear_error[r, i] = frame_features[r, i] - expected
+            linear_error[r, i] = (frame_features[r, i] - expected) / scale[r]
             if fresh[r] and frame_features[r, m + i] > 0.5:
                 shown[r, i], compared[r, i] = True, known[r, i]
-                centered[r, i] = frame_features[r, i] - center[r, i % 2]
+                centered[r, i] = (frame_features[r, i] - center[r, i % 2]) / scale[r]
                 joints[r, i], features[r, i] = frame_joints[r], frame_features[r, i]
                 times[r, i], known[r, i] = frame_time[r], True
     present = frame_joints + aligned[12]

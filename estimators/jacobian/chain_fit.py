@@ -464,6 +464,7 @@ def _restart(memory, settings, row):  # type: ignore[no-untyped-def]
     memory.offset[row] = 0.0
     memory.offset_variance[row] = 0.0
     memory.offset_power[row] = 0.0
+    memory.recent[row] = 0.0
     memory.residual_power[row] = memory.noise[row]
     memory.white[row] = memory.noise[row]
     restart_target(memory, settings, row)
@@ -491,6 +492,7 @@ def copy_chain(memory, to, origin):  # type: ignore[no-untyped-def]
     memory.residual_power[to] = memory.residual_power[origin]
     memory.white[to] = memory.white[origin]
     memory.residual[to] = memory.residual[origin]
+    memory.recent[to] = memory.recent[origin]
     memory.errors[to] = memory.errors[origin]
     memory.served[to] = memory.served[origin]
     memory.least_error[to] = memory.least_error[origin]

@@ -18,14 +18,15 @@ class GoalSearch(NamedTuple):
     Attributes:
         waypoints: Number of intermediate images on the way to the goal.
         refinements: Number of iterations at the goal.
-        damping: Damping of the steps to intermediate images, px/rad.
-        pull: Weight of the motion itself, px/rad; it keeps motions small that do not change the image.
+        damping: Damping of the steps to intermediate images, expected focal lengths per rad.
+        pull: Weight of the motion itself, expected focal lengths per rad; it keeps motions small that do not change the
+            image.
     """
 
     waypoints: int = 12
     refinements: int = 12
-    damping: float = 20.0
-    pull: float = 0.5
+    damping: float = 1.0 / 30.0
+    pull: float = 1.0 / 1200.0
 
 
 def chain_goal_rows(
@@ -70,10 +71,9 @@ def _goal_rows(  # type: ignore[no-untyped-def]
             for at in range(search.waypoints + search.refinements):
                 share = min((at + 1.0) / search.waypoints, 1.0)
                 _waypoint(start, wanted[row], path, turn, share, goal)
-                damping = search.damping if share < 1.0 else search.pull
-                error = _approach(
-                    chain, goal, used[row], (bounds[0][row], bounds[1][row]), damping, search.pull, motion
-                )
+                pull = search.pull * chain[3]
+                damping = search.damping * chain[3] if share < 1.0 else pull
+                error = _approach(chain, goal, used[row], (bounds[0][row], bounds[1][row]), damping, pull, motion)
             if error < left[row]:
                 left[row] = error
                 motions[row] = motion

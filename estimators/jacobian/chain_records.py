@@ -11,7 +11,7 @@ class ChainSettings(NamedTuple):
     """Parameters of the fit.
 
     Attributes:
-        focal: Expected focal length, px.
+        focal: Expected focal length, in the unit of the features.
         turning: True for joints that turn. Shape (n,).
         axis_spread: Prior standard deviation of the components of w.
         moment_spread: Prior standard deviation of the components of v, mean depths.
@@ -53,6 +53,8 @@ class ChainSettings(NamedTuple):
         no_error: Least error before there is one, px^2.
         outlier: Square of a residual, relative to the variance, that counts at most in the estimate of the noise.
         enough: Number of frames of all features at one posture after which another one shows little that is new.
+        settling: Time over which residuals are averaged before they count as evidence, s: a step of play settles, a
+            target's motion does not.
         forgetting: Memory of the evidence per frame, see `ChainMemory`.
     """
 
@@ -97,6 +99,7 @@ class ChainSettings(NamedTuple):
     no_error: float = 1e12
     outlier: float = 9.0
     enough: float = 5.0
+    settling: float = 0.5
     forgetting: float = 0.98
 
 
@@ -132,6 +135,7 @@ class ChainMemory(NamedTuple):
     residual_power: Array
     white: Array
     residual: Array
+    recent: Array
     errors: Array
     failures: Array
     served: Array

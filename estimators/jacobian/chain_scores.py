@@ -61,6 +61,7 @@ def score_frame(memory, frame, settings, output, newest, old, row):  # type: ign
     columns = derivatives.T.copy()
     whiten(memory.factor[row], columns)
     fading = math.exp(-frame.duration[row] / settings.offset_time)
+    settled = 1.0 - math.exp(-frame.duration[row] / settings.settling)
     rows = target_derivatives(parameters, derivatives, n, memory.motion[row]) if moves else np.empty((m, 6))
     innovations = np.zeros(m)
     squares, linear, both = 0.0, 0.0, 0
@@ -78,8 +79,10 @@ def score_frame(memory, frame, settings, output, newest, old, row):  # type: ign
         normalized += innovation * innovation / variance
         density -= 0.5 * (innovation * innovation / variance + math.log(2.0 * math.pi * variance))
         # An offset that follows what a wrong chain leaves would hide that it is wrong.
-        left = newest[1][0, i] - predicted[i]
-        variance += memory.noise[row] - memory.white[row] - memory.offset_variance[row, i]
+        residual = newest[1][0, i] - predicted[i]
+        left = residual - memory.recent[row, i]
+        memory.recent[row, i] += settled * left
+        variance += memory.noise[row] * (1.0 + settled) - memory.white[row] - memory.offset_variance[row, i]
         bare -= 0.5 * (left * left / variance + math.log(variance))
         used += 1
         if frame.compared[row, i]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.jacobian.any_arm import AnyArm
 from servotrack.estimators.jacobian.cautious import Cautious
 from servotrack.estimators.jacobian.contract import JacobianEstimator, ServoEstimate, ServoMeasurement
@@ -22,6 +24,23 @@ from servotrack.estimators.stateful import select_rows
 from servotrack.estimators.types import Array
 
 
+class Pace(NamedTuple):
+    """Control periods of the chosen parts where none is given.
+
+    Attributes:
+        period: Shortest one, s.
+        ratio: Ratio of one to the next.
+        least: Number of such steps below which a period counts as the shortest one.
+    """
+
+    period: float = 0.05
+    ratio: float = 1.1
+    least: int = 3
+
+
+_PACE = Pace()
+
+
 class ControllerState(NamedTuple):
     """State of a `ServoController`.
 
@@ -32,6 +51,8 @@ class ControllerState(NamedTuple):
         supervisor: State of the supervisor; None without one.
         commanded: Motion commanded at the last step. Shape (*batch, n), rad.
         goal: Goal of the last step, from which its velocity follows; None where it is not followed.
+        time: Time of the last step. Shape (*batch,), s.
+        period: Running mean of the time between two steps. Shape (*batch,), s.
     """
 
     estimator: Any
@@ -40,6 +61,8 @@ class ControllerState(NamedTuple):
     supervisor: Any
     commanded: Array
     goal: GoalState | None
+    time: Array
+    period: Array
 
 
 @dataclass(frozen=True)
@@ -70,7 +93,9 @@ class ServoController:
         supervisor: Detector of a wrong estimate; "auto" chooses by the estimator, None disables it.
         max_joint_rate: Limit of each joint rate, rad/s. The whole vector is scaled, so that its direction stays.
         limits: Joint limits and the limit of acceleration; None: there are none.
-        period: Control period of the parts that are chosen, s.
+        period: Control period of the parts that are chosen, s. None: 50 ms, or the mean time between two steps where
+            that is clearly longer: the same share of the error in more time, which motors and images need. Faster loops
+            keep the joint rates of 50 ms.
     """
 
     estimator: JacobianEstimator = field(default_factory=AnyArm)
@@ -79,24 +104,25 @@ class ServoController:
     supervisor: ProgressSupervisor | Supervisor | Literal["auto"] | None = "auto"
     max_joint_rate: float = 2.0
     limits: JointLimits | None = None
-    period: float = 0.05
+    period: float | None = None
+
+    _chosen: dict[int, tuple[ControlLaw, ExploratoryMoves, bool]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         for name in ("max_joint_rate", "period"):
-            if not 0.0 < getattr(self, name) < np.inf:
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
                 unit = "rad/s" if name == "max_joint_rate" else "s"
-                raise ValueError(f"{name} must be finite and > 0 {unit}, got {getattr(self, name)}")
-        certain = bool(getattr(self.estimator, "row_covariances", False))
-        law: ControlLaw = ProportionalIntegral(period=self.period)
-        excitation: ExploratoryMoves = Excitation(period=self.period)
-        if certain:
-            law, excitation = JointSpace(image=Cautious(period=self.period)), Exploration(period=self.period)
+                raise ValueError(f"{name} must be finite and > 0 {unit}, got {value}")
+        law, excitation = self._usual(self.period or _PACE.period)
         if self.law is None:
             object.__setattr__(self, "law", law)
         if self.excitation is None:
             object.__setattr__(self, "excitation", excitation)
         if self.supervisor == "auto":
-            object.__setattr__(self, "supervisor", ProgressSupervisor() if certain else Supervisor())
+            object.__setattr__(self, "supervisor", ProgressSupervisor() if self._certain else Supervisor())
 
     def initial(self, measurement: ServoMeasurement) -> ControllerState:
         """State before the first `step`, to which the same measurement must be passed.
@@ -104,7 +130,8 @@ class ServoController:
         Raises:
             ValueError: As the estimator does for a bad measurement, or joint angles far outside the limits.
         """
-        law, excitation, supervisor = self._parts()
+        law, excitation, bounded = self._parts(0)
+        supervisor = self._watch()
         estimator_state = self.estimator.initial(measurement)
         if self.limits is not None:
             self.limits.check(np.asarray(measurement.joint_angles, np.float64))
@@ -114,7 +141,9 @@ class ServoController:
             excitation=excitation.initial(measurement),
             supervisor=None if supervisor is None else supervisor.initial(measurement),
             commanded=np.zeros(np.shape(measurement.joint_angles)),
-            goal=begin_goal(*_goal(measurement)) if isinstance(law, BoundedLaw) else None,
+            goal=begin_goal(*_goal(measurement)) if bounded else None,
+            time=np.array(measurement.time, np.float64),
+            period=np.full(np.shape(measurement.time), self.period or _PACE.period),
         )
 
     def step(self, state: ControllerState, measurement: ServoMeasurement) -> tuple[ControllerState, Array]:
@@ -126,15 +155,21 @@ class ServoController:
         Raises:
             ValueError: As the estimator does for a bad measurement.
         """
-        law, excitation, supervisor = self._parts()
         estimator_state, estimate = self.estimator.step(state.estimator, measurement)
+        time = np.array(measurement.time, np.float64)
+        period, slowness = state.period, 0
+        if self.period is None:
+            means, slowest = _mean_periods(period.reshape(-1), state.time.reshape(-1), time.reshape(-1), _PACE.period)
+            period, slowness = means.reshape(time.shape), _slowness(slowest)
+        law, excitation, bounded = self._parts(slowness)
+        supervisor = self._watch()
         goal = state.goal
         if goal is not None:
             goal, velocity = goal_velocity(goal, *_goal(measurement))
             estimate = _relative(estimate, velocity)
-        if self.limits is not None and isinstance(law, BoundedLaw):
+        if self.limits is not None and bounded:
             room = self.limits.room(np.asarray(measurement.joint_angles, np.float64))
-            law_state, rate = law.rate(state.law, estimate, *room)
+            law_state, rate = cast(BoundedLaw, law).rate(state.law, estimate, *room)
         else:
             law_state, rate = law.rate(state.law, estimate)
         watch, active = state.supervisor, excitation.active(state.excitation)
@@ -161,15 +196,19 @@ class ServoController:
             rate = np.where(np.isfinite(rate), rate, 0.0)
             rate = limiting_factor(rate, self.max_joint_rate) * rate
         if self.limits is not None:
-            rate = self._limited(rate, state, measurement, estimate)
-        new_state = ControllerState(estimator_state, law_state, excitation_state, watch, rate * law.period, goal)
-        return new_state, rate
+            rate = self._limited(rate, state, measurement, estimate, law)
+        commanded = rate * law.period
+        return ControllerState(estimator_state, law_state, excitation_state, watch, commanded, goal, time, period), rate
 
     def _limited(
-        self, rate: Array, state: ControllerState, measurement: ServoMeasurement, estimate: ServoEstimate
+        self,
+        rate: Array,
+        state: ControllerState,
+        measurement: ServoMeasurement,
+        estimate: ServoEstimate,
+        law: ControlLaw,
     ) -> Array:
         """Joint rates within the limits, as near to the wanted ones as the law sees it."""
-        law = self._parts()[0]
         angles = np.asarray(measurement.joint_angles, np.float64)
         low, high = cast(JointLimits, self.limits).bounds(
             angles, state.commanded / law.period, self.max_joint_rate, law.period
@@ -179,13 +218,52 @@ class ServoController:
             rate = law.within(rate, estimate, low, high, beyond)
         return np.clip(rate, low, high)
 
-    def _parts(self) -> tuple[ControlLaw, ExploratoryMoves, ProgressSupervisor | Supervisor | None]:
-        """Law, exploratory moves and supervisor, which `__post_init__` has chosen where they were not given."""
-        return (
-            cast(ControlLaw, self.law),
-            cast(ExploratoryMoves, self.excitation),
-            cast("ProgressSupervisor | Supervisor | None", self.supervisor),
-        )
+    @property
+    def _certain(self) -> bool:
+        return bool(getattr(self.estimator, "row_covariances", False))
+
+    def _parts(self, slowness: int) -> tuple[ControlLaw, ExploratoryMoves, bool]:
+        """Law, exploratory moves, and True if the law is a `BoundedLaw`, for a slowness, see `_slowness`.
+
+        Chosen parts change with it, given ones do not.
+        """
+        if slowness not in self._chosen:
+            law, excitation = cast(ControlLaw, self.law), cast(ExploratoryMoves, self.excitation)
+            usual, slower = self._usual(self.period or _PACE.period), self._usual(_PACE.period * _PACE.ratio**slowness)
+            if slowness > 0:
+                law = slower[0] if law == usual[0] else law
+                excitation = slower[1] if excitation == usual[1] else excitation
+            # A protocol takes longer to check than a law to compute.
+            self._chosen[slowness] = (law, excitation, isinstance(law, BoundedLaw))
+        return self._chosen[slowness]
+
+    def _usual(self, period: float) -> tuple[ControlLaw, ExploratoryMoves]:
+        """Law and exploratory moves that are chosen where none are given."""
+        if self._certain:
+            return JointSpace(image=Cautious(period=period)), Exploration(period=period)
+        return ProportionalIntegral(period=period), Excitation(period=period)
+
+    def _watch(self) -> ProgressSupervisor | Supervisor | None:
+        """Supervisor, which `__post_init__` has chosen where it was not given."""
+        return cast("ProgressSupervisor | Supervisor | None", self.supervisor)
+
+
+@njit(cache=True, nogil=True)
+def _mean_periods(periods, before, now, shortest):  # type: ignore[no-untyped-def]
+    """Return running means of the time between two steps, in which a pause counts little, and the largest of them."""
+    means, largest = periods.copy(), shortest
+    for row in range(len(now)):
+        passed = min(now[row] - before[row], 2.0 * periods[row])
+        if passed > 0.0:
+            means[row] += 0.2 * (passed - periods[row])
+        largest = max(largest, means[row])
+    return means, largest
+
+
+def _slowness(period: float) -> int:
+    """Number of steps by which a period is longer than the shortest one, see `Pace`."""
+    steps = round(math.log(period / _PACE.period) / math.log(_PACE.ratio))
+    return steps if steps >= _PACE.least else 0
 
 
 def _goal(measurement: ServoMeasurement) -> tuple[Array, Array]:

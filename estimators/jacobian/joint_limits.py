@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from servotrack.estimators.compilation import njit
 from servotrack.estimators.types import Array
 from servotrack.estimators.validation import first_bad
 
@@ -28,6 +30,8 @@ class JointLimits:
     max_acceleration: float | None = None
     tolerance: float = 0.2
 
+    _inner: tuple[Array, Array] = field(init=False, repr=False, compare=False)
+
     def __post_init__(self) -> None:
         low, high = np.asarray(self.low, np.float64), np.asarray(self.high, np.float64)
         if low.ndim != 1 or low.shape != high.shape or not np.isfinite([low, high]).all():
@@ -45,6 +49,7 @@ class JointLimits:
             )
         if self.max_acceleration is not None and not 0.0 < self.max_acceleration < np.inf:
             raise ValueError(f"max_acceleration must be finite and > 0 rad/s^2, or None, got {self.max_acceleration}")
+        object.__setattr__(self, "_inner", (low + self.margin, high - self.margin))
 
     def check(self, joint_angles: Array) -> None:
         """Raise ValueError if joint angles (*batch, n) are farther outside the limits than the tolerance."""
@@ -63,8 +68,8 @@ class JointLimits:
 
     def room(self, joint_angles: Array) -> tuple[Array, Array]:
         """Motions to the lower and upper limits, margin excluded; they include 0. Shapes (*batch, n), rad."""
-        below = np.minimum(np.asarray(self.low) + self.margin - joint_angles, 0.0)
-        return below, np.maximum(np.asarray(self.high) - self.margin - joint_angles, 0.0)
+        low, high = self._inner
+        return np.minimum(low - joint_angles, 0.0), np.maximum(high - joint_angles, 0.0)
 
     def bounds(
         self, joint_angles: Array, joint_rate: Array, max_joint_rate: float, period: float
@@ -81,23 +86,44 @@ class JointLimits:
             Least and largest rates; they hold 0 or lead inward where a joint is at or outside its limit. Shapes
             (*batch, n), rad/s.
         """
-        room_below = joint_angles - (np.asarray(self.low) + self.margin)
-        room_above = (np.asarray(self.high) - self.margin) - joint_angles
-        low = -np.minimum(max_joint_rate, self._fastest(room_below, period))
-        high = np.minimum(max_joint_rate, self._fastest(room_above, period))
-        if self.max_acceleration is not None:
-            change = self.max_acceleration * period
-            # Where a joint must stop sooner than the acceleration allows, it brakes as hard as it may.
-            low = np.clip(np.maximum(low, joint_rate - change), -np.inf, joint_rate + change)
-            high = np.clip(np.minimum(high, joint_rate + change), joint_rate - change, np.inf)
-        return np.minimum(low, high), np.maximum(low, high)
+        shape = joint_angles.shape
+        low, high = _bounds(
+            np.ascontiguousarray(joint_angles).reshape(-1, shape[-1]),
+            np.ascontiguousarray(joint_rate).reshape(-1, shape[-1]),
+            self._inner,
+            max_joint_rate,
+            # No limit: a negative number.
+            -1.0 if self.max_acceleration is None else self.max_acceleration,
+            period,
+        )
+        return low.reshape(shape), high.reshape(shape)
 
-    def _fastest(self, room: Array, period: float) -> Array:
-        """Largest rate towards a limit at a distance of `room` that leaves enough room to brake."""
-        room = np.maximum(room, 0.0)
-        fastest = room / period
-        if self.max_acceleration is None:
-            return fastest
-        # The rate v is held for one period, then falls by a * period in each: v * period + v^2 / (2 a) <= room.
-        brake = self.max_acceleration * period
-        return np.minimum(fastest, np.sqrt(brake**2 + 2.0 * self.max_acceleration * room) - brake)
+
+@njit(cache=True, nogil=True)
+def _bounds(angles, rates, inner, fastest, acceleration, period):  # type: ignore[no-untyped-def]
+    """`JointLimits.bounds` over rows; a negative acceleration is none."""
+    rows, n = angles.shape
+    least, most = np.empty((rows, n)), np.empty((rows, n))
+    brake = acceleration * period
+    for row in range(rows):
+        for j in range(n):
+            low = -min(fastest, _fastest(angles[row, j] - inner[0][j], acceleration, period))
+            high = min(fastest, _fastest(inner[1][j] - angles[row, j], acceleration, period))
+            if acceleration > 0.0:
+                # Where a joint must stop sooner than the acceleration allows, it brakes as hard as it may.
+                slower, faster = rates[row, j] - brake, rates[row, j] + brake
+                low = min(max(low, slower), faster)
+                high = max(min(high, faster), slower)
+            least[row, j], most[row, j] = min(low, high), max(low, high)
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def _fastest(room, acceleration, period):  # type: ignore[no-untyped-def]
+    """Largest rate towards a limit at a distance of `room` that leaves enough room to brake."""
+    room = max(room, 0.0)
+    if acceleration <= 0.0:
+        return room / period
+    # The rate v is held for one period, then falls by a * period in each: v * period + v^2 / (2 a) <= room.
+    brake = acceleration * period
+    return min(room / period, math.sqrt(brake * brake + 2.0 * acceleration * room) - brake)

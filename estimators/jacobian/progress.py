@@ -52,6 +52,8 @@ class ProgressSupervisor:
             values tolerate a lasting error.
         tolerance: Error, root of the mean square in the features' unit, that is near enough in any case: play, sag and
             encoders leave one that no exploration removes. A number or shape (m,), px.
+        slack: Error of the joints that is near enough in any case, rad: what it moves a feature by its row of J adds to
+            `tolerance` where that is smaller, as for cameras of many pixels. Larger values tolerate a lasting error.
         progress: Share by which the error must fall below its best to count as progress, in (0, 1).
         patience: Steps without progress after which the arm explores again. Larger values explore later.
         max_excursion: Way of a joint without progress after which the arm explores again in any case: a servo with a
@@ -65,6 +67,7 @@ class ProgressSupervisor:
 
     settled: float = 4.0
     tolerance: float | tuple[float, ...] = 3.0
+    slack: float = 0.003
     progress: float = 0.2
     patience: int = 40
     max_excursion: float | tuple[float, ...] = 3.0
@@ -86,6 +89,8 @@ class ProgressSupervisor:
         for name in ("tolerance", "max_excursion"):
             value = np.asarray(getattr(self, name), np.float64)
             object.__setattr__(self, name, float(value) if value.ndim == 0 else tuple(value.tolist()))
+        if not 0.0 <= self.slack < np.inf:
+            raise ValueError(f"slack must be finite and >= 0 rad, got {self.slack}")
         if not 0.0 < self.progress < 1.0:
             raise ValueError(f"progress must be in (0, 1), got {self.progress}")
 
@@ -143,12 +148,14 @@ class ProgressSupervisor:
             np.ascontiguousarray(visible).reshape(rows, groups),
             np.ascontiguousarray(estimate.error).reshape(rows, m),
             np.ascontiguousarray(variance).reshape(rows, m),
+            np.ascontiguousarray(estimate.jacobian).reshape(rows, m, n + 1),
             np.ascontiguousarray(commanded).reshape(rows, n),
             np.ascontiguousarray(exploring).reshape(rows),
             _each(self.tolerance, m),
             _each(self.max_excursion, n),
             (
                 self.settled,
+                self.slack,
                 self.progress,
                 self.patience,
                 self.least_motion,
@@ -169,10 +176,10 @@ def _each(value: float | tuple[float, ...], count: int) -> Array:
 
 @njit(cache=True, nogil=True)
 def _judged(  # type: ignore[no-untyped-def]
-    before, angles, visible, errors, variances, commanded, exploring, tolerance, excursion, tuning
+    before, angles, visible, errors, variances, jacobians, commanded, exploring, tolerance, excursion, tuning
 ):
     """`ProgressSupervisor.step` over rows. Returns the fields of the state, then `away`, `excite` and `lost`."""
-    settled, progress, first_patience, least_motion, followed, blocked_limit, unseen_limit = tuning
+    settled, slack, progress, first_patience, least_motion, followed, blocked_limit, unseen_limit = tuning
     rows, n = angles.shape
     m = errors.shape[1]
     best, stalled, patience = before.best.copy(), before.stalled.copy(), before.patience.copy()
@@ -186,7 +193,11 @@ def _judged(  # type: ignore[no-untyped-def]
         squares, known = 0.0, 0
         for i in range(m):
             if variances[row, i] < np.inf:
-                squares += errors[row, i] ** 2 / max(variances[row, i], (tolerance[i] / settled) ** 2)
+                moved = 0.0
+                for j in range(n):
+                    moved += jacobians[row, i, j] ** 2
+                least = max(tolerance[i] ** 2, slack * slack * moved) / settled**2
+                squares += errors[row, i] ** 2 / max(variances[row, i], least)
                 known += 1
         error = np.sqrt(squares / max(known, 1))
         near = error < settled and known > 0

@@ -70,6 +70,25 @@ def test_an_arm_of_which_nothing_is_known_reaches_its_goal(arm, camera):
     assert sum(row["success"] for row in rows) >= 3
 
 
+@pytest.mark.slow
+def test_an_arm_of_seven_joints_with_a_camera_of_many_pixels_reaches_its_goal():
+    """Play of a degree shows as 20 pixels: it neither counts as a board that moves nor as a lasting error."""
+    up, side = [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]
+    arm = {
+        "name": "seven",
+        "axes": [up, side, up, [0.0, -1.0, 0.0], up, side, up],
+        "points": [[0.0, 0.0, height] for height in (0.3, 0.5, 0.83, 1.0, 1.3, 1.4, 1.4)],
+        "tool": [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.56], [0.0, 0.0, 0.0, 1.0]],
+        "low": [-2.9] * 7,
+        "high": [2.9] * 7,
+        "masses": [5.0, 4.0, 3.0, 3.0, 2.0, 1.5, 0.3],
+        "ready": [0.0, 0.6, 0.0, -1.3, 0.0, 1.1, 0.0],
+    }
+    arguments = {"level": 3, "arm": arm, "width": 1280, "height": 960, "focal": (900.0, 1600.0)}
+    rows = evaluate(ENV_ID, "any-arm", range(100_200, 100_208), env_kwargs=arguments, timing=False).rows
+    assert sum(row["success"] for row in rows) >= 7
+
+
 @pytest.mark.parametrize("agent", ["adaptive-kf", "chain"])
 def test_the_other_servos_reach_it_with_less_in_their_way(agent):
     rows = evaluate(ENV_ID, agent, range(100_020, 100_024), env_kwargs={"level": 1, "horizon": 400}, timing=False).rows

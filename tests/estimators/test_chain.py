@@ -11,6 +11,7 @@ from estimator_zoo import UnseenInputs
 from scipy.linalg import expm
 
 from servotrack.estimators.jacobian import (
+    AdaptiveKalmanJacobian,
     ChainJacobian,
     HypothesisBank,
     Latencies,
@@ -141,7 +142,8 @@ def test_exact_data_of_a_random_chain_are_predicted_exactly(camera, joints):
     rng = np.random.default_rng(joints)
     world = ChainWorld(rng, joints, camera)
     angles = walk(rng, joints, 120)
-    estimator = ChainJacobian(noise=0.03, least_noise=1e-5)
+    # The goal of these frames is a corner: it does not tell where the middle of the image is.
+    estimator = ChainJacobian(center=(320.0, 240.0), noise=0.03, least_noise=1e-5)
     _, estimates = drive(estimator, world, angles)
     last = estimates[-1]
     assert last.chained.all()
@@ -154,7 +156,7 @@ def test_exact_data_of_a_random_chain_are_predicted_exactly(camera, joints):
     np.testing.assert_allclose(
         last.predict_error(motion, PERIOD), world.features(angles[-1] + motion) - 240.0, atol=1e-5
     )
-    focal = 600.0 * np.exp(last.parameters[-3])
+    focal = last.focal * np.exp(last.parameters[-3])
     assert focal == pytest.approx(FOCAL, rel=1e-6)
 
 
@@ -165,7 +167,7 @@ def test_with_noise_errors_agree_with_their_covariances(camera):
         rng = np.random.default_rng(seed)
         world = ChainWorld(rng, 6, camera)
         angles = walk(rng, 6, 130)
-        _, estimates = drive(ChainJacobian(), world, angles, rng, noise=1.0)
+        _, estimates = drive(ChainJacobian(center=(320.0, 240.0)), world, angles, rng, noise=1.0)
         last = estimates[-1]
         assert last.chained.all()
         errors.append((last.error + 240.0 - world.features(angles[-1])) ** 2 / last.error_variance)
@@ -377,6 +379,38 @@ def test_a_center_of_none_is_the_middle_of_the_goal():
     assert state.center.tolist() == [200.0, 70.0]
 
 
+def test_an_image_of_twice_as_many_pixels_gives_twice_the_features():
+    """What is assumed of features in px follows the image's size: to the bit for a power of two."""
+    rng = np.random.default_rng(11)
+    world, angles = ChainWorld(rng, 3, "hand"), walk(rng, 3, 60)
+    linear = AdaptiveKalmanJacobian(feature_range=2000.0, feature_noise=1.0)
+    small, large = ChainJacobian(), ChainJacobian(linear=linear)
+    first, second = None, None
+    for step, joints in enumerate(angles):
+        features, goal = world.features(joints), np.array([240.0, 200.0, 300.0, 260.0] * 2)
+        one, two = measure(joints, features, step, goal=goal), measure(joints, 2.0 * features, step, goal=2.0 * goal)
+        first = small.initial(one) if first is None else first
+        second = large.initial(two) if second is None else second
+        first, estimate = small.step(first, one)
+        second, doubled = large.step(second, two)
+    assert estimate.chained.all()
+    np.testing.assert_array_equal(doubled.error, 2.0 * estimate.error)
+    np.testing.assert_array_equal(doubled.jacobian, 2.0 * estimate.jacobian)
+    np.testing.assert_array_equal(doubled.covariance, 4.0 * estimate.covariance)
+    np.testing.assert_array_equal(doubled.error_variance, 4.0 * estimate.error_variance)
+
+
+def test_the_expected_focal_length_is_read_from_the_first_measurement():
+    """The sum of the center's coordinates, or what goal and features span where the image's center is the origin."""
+    goal = np.array([100.0, 60.0, 300.0, 80.0])
+    first = measure(np.zeros(3), goal, 0, goal=goal)
+    assert 600.0 * ChainJacobian().initial(first).scale == pytest.approx(270.0)
+    assert 600.0 * ChainJacobian(center=(320.0, 240.0)).initial(first).scale == pytest.approx(560.0)
+    assert 600.0 * ChainJacobian(focal=900.0).initial(first).scale == pytest.approx(900.0)
+    centered = measure(np.zeros(3), np.array([-300.0, -300.0, 100.0, 0.0]), 0, goal=np.array([-100.0, 0.0, 100.0, 0.0]))
+    assert 600.0 * ChainJacobian().initial(centered).scale == pytest.approx(500.0)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -385,6 +419,7 @@ def test_a_center_of_none_is_the_middle_of_the_goal():
         ("iterations", 0),
         ("memory", 0.5),
         ("center", (1.0, np.nan)),
+        ("focal", -1.0),
         ("rigidity", -1.0),
         ("resting", 0.0),
         ("resting", 1.5),

@@ -64,8 +64,8 @@ def tool(arm, joints):
 class ForeignArm:
     """Rows of one arm with a camera of unknown mounting in the hand or in the world, and a board of four points."""
 
-    def __init__(self, arm, camera, seed, noise=0.5):
-        self.arm, self.camera, self.noise = arm, camera, noise
+    def __init__(self, arm, camera, seed, noise=0.5, size=1.0, period=PERIOD):
+        self.arm, self.camera, self.noise, self.size, self.period = arm, camera, noise, size, period
         self.rng = rng = np.random.default_rng(seed)
         n = len(READY[arm])
         self.goal_joints = np.asarray(READY[arm]) + rng.uniform(-0.15, 0.15, (ROWS, n))
@@ -97,7 +97,8 @@ class ForeignArm:
     def image(self, pose):
         """Image points of a board at a pose before the camera. Shape (rows, 8), px."""
         points = np.einsum("rij,pj->rpi", pose[:, :3, :3], self.board) + pose[:, None, :3, 3]
-        return (320.0 + FOCAL * points[..., :2] / np.maximum(points[..., 2:], 0.02)).reshape(len(pose), -1)
+        image = 320.0 + FOCAL * points[..., :2] / np.maximum(points[..., 2:], 0.02)
+        return self.size * image.reshape(len(pose), -1)
 
     def drift(self):
         """Motion of the board, and of the goal, in 8 s about its amplitudes `sway` in rad and m. Shape (rows, 4, 4)."""
@@ -117,8 +118,8 @@ class ForeignArm:
         return ServoMeasurement(self.joints + self.homing, seen, goal, mask, time, time)
 
     def move(self, rate):
-        self.joints = self.joints + PERIOD * rate
-        self.time += PERIOD
+        self.joints = self.joints + self.period * rate
+        self.time += self.period
 
     def tip_error(self):
         """Distance of the tool from its place at the goal. Shape (rows,), m."""
@@ -141,6 +142,29 @@ def test_the_untouched_controller_arrives(arm, camera):
         tips.append(world.tip_error())
     assert np.mean(np.array(errors[-60:]).mean(axis=0) < 5.0) == 1.0
     assert np.median(tips[-1]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("size", "period"),
+    [
+        (3.0, PERIOD),
+        (1.0, 0.1),
+        pytest.param(0.5, PERIOD, marks=pytest.mark.slow),
+        pytest.param(1.0, 1.0 / 60.0, marks=pytest.mark.slow),
+    ],
+)
+def test_neither_pixels_nor_the_rate_of_the_loop_have_to_be_set(size, period):
+    """Images of 320 to 1920 columns, and loops of 60 and 10 Hz whose period is not given."""
+    world = ForeignArm("hobby", "hand", seed=4, size=size, period=period)
+    controller, state, tips = ServoController(max_joint_rate=1.0), None, []
+    for _ in range(round(9.0 / max(period, PERIOD))):
+        seen = world.measurement()
+        state = controller.initial(seen) if state is None else state
+        state, rate = controller.step(state, seen)
+        world.move(rate)
+        tips.append(world.tip_error())
+    assert np.median(tips[-1]) < 1e-3 / min(size, 1.0)
+    assert np.max(np.mean(tips[-30:], axis=0)) < 2e-3 / min(size, 1.0)
 
 
 @pytest.mark.parametrize(("camera", "limit"), [("hand", 4.5e-3), ("world", 1e-3)])
