@@ -67,6 +67,7 @@ _DETECTOR = MaskedBackground(
     still=None,
     motion=None,
     exposure=None,
+    dim=None,
     same_light=False,
     frame_rate=25.0,
 )
