@@ -118,7 +118,7 @@ class MaskedBackground:
         faint: Lower threshold for slender regions around clear foreground, gray levels; 0 for none. It completes people
             in the background's colors; slender regions cannot join people.
         noise: Rules by which the lower threshold rises with the noise; None for a fixed one.
-        learning_rate: Weight a of a new frame, per frame, in (0, 1). Raising it adapts faster.
+        learning_rate: Weight a of a new frame, in (0, 1). Raising it adapts faster.
         start: First background from the frames given to `initial`: their "median", or their "mean", as in the paper.
         color: Difference of a pixel: "max" over the channels, or of "gray" values.
         hold: Region where the background does not learn: the "pixels" above the threshold, as in the paper, or the
@@ -146,6 +146,8 @@ class MaskedBackground:
         dim: Conditions under which dark and noisy pictures are brightened and averaged; None for never. Needs `noise`.
         same_light: True to compute the first background only from frames before the first change of light; a fade-in
             from black is left out.
+        full_rate: Frames per second above which `learning_rate` and `heal_every` refer to periods of 1 / `full_rate`,
+            so that a faster camera does not learn people sooner. Infinity: they always refer to frames.
         frame_rate: Frames per second, where `step` is not given the time between frames.
 
     Raises:
@@ -175,6 +177,7 @@ class MaskedBackground:
     exposure: ExposureRules | None = field(default_factory=ExposureRules)
     dim: DimRules | None = field(default_factory=DimRules)
     same_light: bool = True
+    full_rate: float = 25.0
     frame_rate: float = 25.0
 
     def __post_init__(self) -> None:
@@ -198,6 +201,8 @@ class MaskedBackground:
             raise ValueError(f"flood must be a share above 0 and at most 1, got {self.flood!r}")
         if not 0.0 <= self.edges <= 1.0:
             raise ValueError(f"edges must be a share from 0 to 1, got {self.edges!r}")
+        if not self.full_rate > 0.0:
+            raise ValueError(f"full_rate must be > 0, infinity for none, got {self.full_rate!r}")
         for name in ("flood_time", "frame_rate"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)!r}")
@@ -223,6 +228,7 @@ class MaskedBackground:
             exposure=None,
             dim=None,
             same_light=False,
+            full_rate=math.inf,
             blobs=BlobFinder(opening=3, closing=(1, 1), smallest=40, split=False),
         )
 
@@ -300,8 +306,10 @@ class MaskedBackground:
         foreground, threshold = self._foreground(difference, image, state)
         noise, level, brightness = self._noise_level(state, difference)
         found = self._regions(difference, foreground, threshold, noise, state.sizes)
+        every = max(self.heal_every, round(self.heal_every / (self.full_rate * dt)))
+        rate = self.learning_rate * min(self.full_rate * dt, 1.0)
         held = found.runs if self.hold == "blobs" else label_runs(foreground)[0]
-        background = learned(image, state.background, held, np.float32(self.learning_rate))
+        background = learned(image, state.background, held, np.float32(rate))
         frames, still = state.frames + 1, state.still
         if still is not None:
             still = Stillness(still.level, still.age, still.passed + dt)
@@ -317,12 +325,13 @@ class MaskedBackground:
         elif flood.steady > (self.flooding.memory if flood.dark else self.flood_time) + 0.5 * dt:
             background, flood = image.astype(np.float32), Flood(reserve=flood.reserve)
             found.runs[:, 3] = -1
-        elif self.heal_every and frames % self.heal_every == 0 and found.number and not flood.dark:
-            still = self._heal(state, image, background, found, threshold, still, dt, flood.passed > 0.0)
+        elif every and frames % every == 0 and found.number and not flood.dark:
+            search = state.frames // every
+            still = self._heal(state, image, background, found, threshold, still, dt, search, flood.passed > 0.0)
         if unsettled(flood, self.flooding) or in_doubt(motion):
             found.runs[:, 3] = -1
         elif self.edges and found.number:
-            found = self._without_soft_light(found, image, state.rounded, background, threshold)
+            found = self._without_soft_light(found, image, state.rounded, background, threshold, rate)
         sizes, detections = self.blobs.find(state.sizes, found.runs, found.number, image)
         view = state.view
         if unsettled(flood, self.flooding):
@@ -460,6 +469,7 @@ class MaskedBackground:
         threshold: float,
         still: Stillness | None,
         dt: float,
+        search: int,
         flooded: bool,
     ) -> Stillness | None:
         """Correct the background under ghosts, changed light and things that do not move; in place."""
@@ -468,7 +478,7 @@ class MaskedBackground:
         # Of foreground that covers the image there is no outline, by which ghosts are known.
         rules = self.healing._replace(ghost_ratio=np.inf) if flooded else self.healing
         heal_regions(channels, known, found.runs, found.number, threshold, rules)
-        if still is None or self.still is None or state.frames // self.heal_every % self.still.every:
+        if still is None or self.still is None or search % self.still.every:
             return still
         level, age = still.level.copy(), still.age.copy()
         boxes, _, _ = measure_runs(found.runs, found.number)
@@ -489,13 +499,13 @@ class MaskedBackground:
         return Stillness(level, age, 0.0)
 
     def _without_soft_light(
-        self, found: _Regions, image: Image, known: Image, background: FloatArray, threshold: float
+        self, found: _Regions, image: Image, known: Image, background: FloatArray, threshold: float, rate: float
     ) -> _Regions:
         """Regions without reflections and soft shadows, which the background learns, in place."""
         flat, mask = (*found.mask.shape, -1), found.mask.copy()
         removed = trim_soft_light(
             image.reshape(flat), known.reshape(flat), background.reshape(flat), found.runs, found.number, mask,
-            threshold, self.edges, self.learning_rate, self.soft_light,
+            threshold, self.edges, rate, self.soft_light,
         )  # fmt: skip
         if not removed:
             return found

@@ -91,7 +91,7 @@ def first_view(frames: list[Image], background: FloatArray, quiet: float, rules:
 
     Args:
         frames: Frames with the shape of the background, uint8.
-        background: Their median. Shape (H, W, 3) or (H, W), float32.
+        background: Median of the frames. Shape (H, W, 3) or (H, W), float32.
         quiet: Quantile of the difference that counts as noise, in (0, 1).
         rules: Conditions.
     """

@@ -95,7 +95,7 @@ def returned(
     Args:
         flood: Memory.
         image: The frame. Shape (H, W, 3) or (H, W), uint8.
-        difference: Its difference to the present background. Shape (H, W), uint8.
+        difference: Difference of the frame to the present background. Shape (H, W), uint8.
         color: Difference of a pixel, see `difference_of`.
         threshold: Difference from which a pixel is foreground, gray levels.
         share: Share of foreground of a flood.
