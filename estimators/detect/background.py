@@ -259,7 +259,8 @@ class MaskedBackground:
                 )
                 several = several[:count]
         first, view = _average(several, self.start), View()
-        if self.dim is not None and self.noise is not None:
+        # The noise of one frame is not known, and brightened noise would flood the picture.
+        if len(several) > 1 and self.dim is not None and self.noise is not None:
             view = first_view(several, first, self.noise.quiet, self.dim)
             if view != View():
                 first = _average([viewed(frame, view) for frame in several], self.start)
@@ -298,7 +299,8 @@ class MaskedBackground:
             ValueError: The frame is not a valid image, its shape differs, or `dt` is not positive.
         """
         dt = checked_period(dt, self.frame_rate)
-        image = viewed(checked_image(frame, shape=state.rounded.shape), state.view)
+        plain = checked_image(frame, shape=state.rounded.shape)
+        image, view = viewed(plain, state.view), state.view
         difference = difference_of(image, state.rounded, self.color)
         exposed = self._exposed(state, image, difference)
         if exposed is not state:
@@ -323,7 +325,9 @@ class MaskedBackground:
             background, flood = np.array(flood.reserve), Flood()
             found.runs[:, 3] = -1
         elif flood.steady > (self.flooding.memory if flood.dark else self.flood_time) + 0.5 * dt:
-            background, flood = image.astype(np.float32), Flood(reserve=flood.reserve)
+            # In the plain view: noise that was brightened may be the flood.
+            before = flood.reserve if flood.reserve is None else in_view(flood.reserve, view, View())
+            background, flood, view = plain.astype(np.float32), Flood(reserve=before), View()
             found.runs[:, 3] = -1
         elif every and frames % every == 0 and found.number and not flood.dark:
             search = state.frames // every
@@ -333,14 +337,16 @@ class MaskedBackground:
         elif self.edges and found.number:
             found = self._without_soft_light(found, image, state.rounded, background, threshold, rate)
         sizes, detections = self.blobs.find(state.sizes, found.runs, found.number, image)
-        view = state.view
-        if unsettled(flood, self.flooding):
+        if view != state.view:
+            # Both are measured anew.
+            noise, brightness = 0.0, 255.0
+        elif unsettled(flood, self.flooding):
             # A measurement in this light is none of the noise.
             noise, brightness = state.noise, state.brightness
         elif not (unsettled(state.flood, self.flooding) or in_doubt(motion) or in_doubt(state.motion)):
             view = self._next_view(state, brightness, min(noise, level))
-        if view != state.view:
-            background, noise, brightness, flood = _changed(background, noise, brightness, flood, state.view, view)
+            if view != state.view:
+                background, noise, brightness, flood = _changed(background, noise, brightness, flood, state.view, view)
         notice = self._notice(motion, flood.passed, share, dt) or self.blobs.notice(sizes)
         notice = notice or self._darkness(view, brightness)
         return BackgroundState(
@@ -367,7 +373,8 @@ class MaskedBackground:
             return state.view
         if abs(brightness - state.brightness) > self.dim.changes * state.brightness:
             return state.view
-        return next_view(state.view, brightness, noise, self.dim)
+        # Brightened only from a first pass: a background of one dark frame is its noise.
+        return next_view(state.view, brightness, noise, self.dim._replace(most=state.view.gain))
 
     def _exposed(self, state: BackgroundState, image: Image, difference: Image) -> BackgroundState:
         """State whose background has the exposure of a frame; the same state if it has not changed."""
