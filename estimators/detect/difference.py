@@ -51,6 +51,25 @@ def frames_of_same_light(frames: list[Image], change: float, share: float, width
     return len(frames)
 
 
+def start_of_light(frames: list[Image], change: float, share: float, lasting: int = 3) -> int:
+    """Return the number of first frames that are black or belong to a light that does not last, as in a fade-in.
+
+    Args:
+        frames: Frames of one shape, in the order of time.
+        change: See `frames_of_same_light`.
+        share: See `frames_of_same_light`.
+        lasting: Number of frames of one light from which it lasts.
+    """
+    black = 0
+    while black < len(frames) - 1 and np.percentile(small_copy(frames[black], 64), 95) < 16.0:
+        black += 1
+    black = 0 if black == len(frames) - 1 else black
+    for begin in range(black, len(frames) - lasting + 1):
+        if frames_of_same_light(frames[begin : begin + lasting], change, share) == lasting:
+            return begin
+    return black
+
+
 @njit(cache=True, nogil=True)
 def _largest_difference(image, background, difference):  # type: ignore[no-untyped-def]
     for n in range(difference.size):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,9 @@ _DETECTOR = MaskedBackground(
     still=None,
     motion=None,
     exposure=None,
+    dim=None,
     same_light=False,
+    full_rate=math.inf,
     frame_rate=25.0,
 )
 """All parameters are explicit, so that changes of the detector's defaults do not change the environment."""
