@@ -20,8 +20,6 @@ from servotrack.estimators.follow.follower import COLUMNS
 from servotrack.estimators.types import Array
 from servotrack.estimators.validation import LIMITS, as_numbers
 
-_PIECES = 4  # largest number of pieces of the foreground per detection
-
 
 @dataclass(frozen=True)
 class PeopleFromAbove:
@@ -44,6 +42,7 @@ class PeopleFromAbove:
         apart: Smallest distance between two people, in a person's widths: nearer pieces are one person.
         trim: Share of a person's pixels beyond each edge of their box, so that a hand does not widen it.
         capacity: Largest number of detections per image; the largest people are kept.
+        pieces: Largest number of pieces of the foreground per detection. Raising it takes longer in images of specks.
         reference_size: Width of the image in whose pixels detections are reported, px.
         unlit: Pixels of less brightness show no floor (outside the lens), gray levels.
         core: Radius about the middle within which a person's color is measured, in a person's widths.
@@ -66,6 +65,7 @@ class PeopleFromAbove:
     apart: float = 0.8
     trim: float = 0.06
     capacity: int = 24
+    pieces: int = 4
     reference_size: float = 480.0
     unlit: float = 8.0
     core: float = 0.45
@@ -91,7 +91,7 @@ class PeopleFromAbove:
             value = getattr(self, name)
             if not low < value <= high:
                 raise ValueError(f"{name} must lie in ({low:g}, {high:g}], got {value!r}")
-        for name in ("capacity", "rounds"):
+        for name in ("capacity", "pieces", "rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)!r}")
 
@@ -162,8 +162,7 @@ class PeopleFromAbove:
         _, labels, boxes, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
         pieces: list[Array] = []
         for region in 1 + np.argsort(-boxes[1:, cv2.CC_STAT_AREA], kind="stable"):
-            # One person has a few pieces; an image of specks would cost time without end.
-            if len(pieces) >= _PIECES * self.capacity:
+            if len(pieces) >= self.pieces * self.capacity:
                 break
             left, top, wide, high = boxes[region, :4].tolist()
             window = np.s_[top : top + high, left : left + wide]

@@ -213,6 +213,23 @@ def test_two_who_touch_are_told_apart():
     np.testing.assert_allclose(sorted(rows[:, 1]), [3.75 * 60.0, 3.75 * 69.0], atol=8.0)
 
 
+def test_a_person_in_white_with_dark_hair_is_one_person_of_both_colors():
+    image = with_people(floor(), (60.0, 50.0, 1.5 * floor()[0, 0]))
+    image = with_people(image, (60.0, 50.0, np.array([30.0, 26.0, 24.0])), radius=2.2)
+    found = PeopleFromAbove().detect(image, 40.0)
+    rows = found[found[:, 0] > 0]
+    assert len(rows) == 1
+    np.testing.assert_allclose(rows[0, 1:3], [3.75 * 60.0, 3.75 * 50.0], atol=4.0)
+    shade = image[45:56, 55:66][np.hypot(*(np.mgrid[:11, :11] - 4.5)) < 4.8].mean(axis=0)
+    np.testing.assert_allclose(rows[0, 5:], shade, atol=12.0)
+
+
+def test_pieces_nearer_than_two_bodies_are_one_person():
+    image = with_people(floor(), (56.0, 50.0, RED), (64.0, 50.0, RED), radius=2.5)
+    assert PeopleFromAbove(gap=0.01, smallest=0.1).detect(image, 40.0)[:, 0].sum() == 1
+    assert PeopleFromAbove(gap=0.01, apart=0.5, smallest=0.1).detect(image, 40.0)[:, 0].sum() == 2
+
+
 @pytest.mark.parametrize("image", [floor().astype(np.uint8), np.zeros((64, 64, 3), np.uint8)])
 def test_nobody_is_found_where_nobody_is(image):
     assert PeopleFromAbove().detect(image, 40.0)[:, 0].sum() == 0
