@@ -16,6 +16,7 @@ from servotrack.envs.servo.records import PLACES
 from servotrack.envs.servo.targets import LEAD, PERIOD
 from servotrack.envs.servo.world import SUCCESS_DISTANCE, ServoWorld
 from servotrack.envs.single_env import SingleEnv
+from servotrack.envs.vector_env import copied
 from servotrack.estimators.types import Array
 
 if TYPE_CHECKING:
@@ -65,9 +66,9 @@ def feature_space(config: ServoConfig) -> gym.spaces.Dict:
 def feature_observations(world: ServoWorld) -> Observation:
     """Return the newest observations of all rows, as new arrays with a leading axis of N."""
     return {
-        "joint_angles": world.joint_angles.copy(),
-        "features": world.features.copy(),
-        "goal": world.goal.copy(),
+        "joint_angles": copied(world.joint_angles),
+        "features": copied(world.features),
+        "goal": copied(world.goal),
         "visible": world.visible[:, None].copy(),
         "frame_time": world.frame_time[:, None].copy(),
         "time": world.time[:, None].copy(),

@@ -23,20 +23,29 @@ class Threads:
         self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
-    def share(self, work: Callable[[int, int], Any], total: int, least: int = 1, costs: Array | None = None) -> None:
+    def share(
+        self,
+        work: Callable[[int, int], Any],
+        total: int,
+        least: int = 1,
+        costs: Array | None = None,
+        handover: float = 0.0,
+    ) -> None:
         """Call work(first, last) for parts of the range from 0 to before `total`, at most one part per thread.
 
         Args:
             work: Function of the first index of a part and the one after its last.
             total: Number of indices.
             least: Number of indices that pays for a part of its own.
-            costs: Expected time of each index in any unit, positive, (total,); None for equal ones.
+            costs: Expected time of each index in any unit, positive, (total,); None for 1 each.
+            handover: Time until another thread has begun and its end is noticed, in the unit of `costs`. The calling
+                thread does so much more of the work.
         """
         parts = min(self.count, total // least)
         if parts <= 1:
             work(0, total)
             return
-        bounds = _bounds(np.ones(total) if costs is None else costs, parts)
+        bounds = _bounds(np.ones(total) if costs is None else costs, parts, handover)
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.count - 1, thread_name_prefix="servotrack")
         (first, last), *others = itertools.pairwise(bounds)
@@ -50,8 +59,13 @@ class Threads:
         return {"count": self.count, "_pool": None}
 
 
-def _bounds(costs: Array, parts: int) -> list[int]:
-    """Divide indices into runs of nearly equal cost; returns where each begins, and the end. Length parts + 1."""
-    before = np.concatenate([[0.0], np.cumsum(costs)])
-    inner = np.searchsorted(before, before[-1] * np.arange(1, parts) / parts - 0.5 * costs.mean())
-    return [0, *inner.tolist(), len(costs)]
+def _bounds(costs: Array, parts: int, handover: float) -> list[int]:
+    """Divide indices into runs of nearly equal cost, the first one dearer by `handover`.
+
+    Returns where each begins, and the end. Length parts + 1.
+    """
+    before = costs.cumsum()
+    share = max(float(before[-1]) - handover, 0.0) / parts
+    wanted = [handover + share * n for n in range(1, parts)]
+    # An index belongs to the part in which its middle lies.
+    return [0, *(before - 0.5 * costs).searchsorted(wanted).tolist(), len(costs)]

@@ -29,6 +29,8 @@ _LEAST_EPISODES = 4
 """Least number of episodes that a thread draws."""
 _STEPS_PER_BEGINNING = 25.0
 """Time to draw and begin an episode, in steps of one arm."""
+_HANDOVER = 50.0
+"""Time to give work to another thread and to notice its end, in steps of one arm: some 45 us."""
 _NO_ROWS = np.zeros(0, np.int64)
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
@@ -290,13 +292,17 @@ class ServoWorld:
                     beginning(*np.searchsorted(ended, (first * LANES, last * LANES)).tolist())
 
                 beginnings = np.bincount(ended // LANES, minlength=len(arms.blocks)).astype(np.float64)
-                self._threads.share(work, len(arms.blocks), costs=LANES + _STEPS_PER_BEGINNING * beginnings)
+                self._threads.share(
+                    work, len(arms.blocks), costs=LANES + _STEPS_PER_BEGINNING * beginnings, handover=_HANDOVER
+                )
                 self._note_begun(ended, seeds)
                 rows = rows.copy()
                 rows[ended] = True
                 ended = _NO_ROWS
             else:
-                self._threads.share(lambda first, last: advance(*step, first, last), len(arms.blocks))
+                self._threads.share(
+                    lambda first, last: advance(*step, first, last), len(arms.blocks), handover=_HANDOVER / LANES
+                )
         else:
             command(rows, actions, self._settings, self._constants, self._tables, self.joints, self._samples)
             arms.step(self._samples["rates"])
