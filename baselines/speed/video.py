@@ -48,6 +48,7 @@ def subjects() -> list[Subject]:
         row("both", "gm-phd", "`masked` and `gm-phd`", 600.0),
         row("both", "pmb", "`masked` and `pmb`", 600.0),
         row("color", "monte-carlo-color", "color tracker `monte-carlo-color`, 200 samples", 1_000.0),
+        row("color", "monte-carlo-color-plus", "color tracker `monte-carlo-color-plus`", 1_000.0),
         row("mog2", "mog2", MOG2),
         row("color", "mil", MIL),
     ]
