@@ -110,6 +110,29 @@ def begin(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def advance_and_begin(ended, seeds, draws, step, first, last):  # type: ignore[no-untyped-def]
+    """Advance some blocks, then begin new episodes in those rows of them that ended.
+
+    Args:
+        ended: Indices of the rows that begin an episode, ascending, (n,).
+        seeds: Seed of each of these rows' episodes, (n,).
+        draws: See `begin`.
+        step: Arguments of `advance` before `first`.
+        first: First block.
+        last: Block after the last one.
+
+    Returns:
+        -1, or the first row without a solvable layout.
+    """
+    blocks, solver, rows, actions, settings, constants, tables, joints, history, samples = step
+    advance(blocks, solver, rows, actions, settings, constants, tables, joints, history, samples, first, last)
+    own = slice(np.searchsorted(ended, first * LANES), np.searchsorted(ended, last * LANES))
+    return begin(
+        ended[own], seeds[own], draws, blocks, solver, settings, constants, tables, joints, history, samples
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
 def command(rows, actions, settings, constants, tables, joints, samples):  # type: ignore[no-untyped-def]
     """Command the motors of all arms and count the steps of the chosen rows. Arguments: see `advance`."""
     for i in range(rows.shape[0]):

@@ -16,7 +16,7 @@ from servotrack.envs.servo.layout import draw_layouts, never_rejected, no_layout
 from servotrack.envs.servo.levels import ServoConfig
 from servotrack.envs.servo.noise import NEVER, draw_noises, noise_ranges_of
 from servotrack.envs.servo.records import CONSTANTS, RING, SAMPLE, SETTINGS
-from servotrack.envs.servo.sensing import EpisodeDraws, advance, begin, command, sense
+from servotrack.envs.servo.sensing import EpisodeDraws, advance, advance_and_begin, begin, command, sense
 from servotrack.envs.servo.targets import LEAD, PERIOD, START
 from servotrack.envs.servo.threads import Threads
 from servotrack.envs.state import State, entry, part, put, taken
@@ -29,8 +29,8 @@ _LEAST_EPISODES = 4
 """Least number of episodes that a thread draws."""
 _STEPS_PER_BEGINNING = 25.0
 """Time to draw and begin an episode, in steps of one arm."""
-_HANDOVER = 50.0
-"""Time to give work to another thread and to notice its end, in steps of one arm: some 45 us."""
+_HANDOVER = 70.0
+"""Time to give work to another thread and to notice its end, in steps of one arm: some 65 us."""
 _NO_ROWS = np.zeros(0, np.int64)
 SUCCESS_DISTANCE = 0.010
 """Tracking errors below this count as success, m."""
@@ -284,14 +284,14 @@ class ServoWorld:
                 self.history, self._samples,
             )  # fmt: skip
             if len(ended) and self._draws_compiled:
-                beginning = self._beginning(arms, ended, seeds)
+                arms.note_started(ended)
 
+                # A thread restarts the arms of its own blocks.
                 def work(first: int, last: int) -> None:
-                    advance(*step, first, last)
-                    # A thread restarts the arms of its own blocks.
-                    beginning(*np.searchsorted(ended, (first * LANES, last * LANES)).tolist())
+                    if advance_and_begin(ended, seeds, self._draws, step, first, last) >= 0:
+                        raise no_layout(self.config)
 
-                beginnings = np.bincount(ended // LANES, minlength=len(arms.blocks)).astype(np.float64)
+                beginnings = np.bincount(ended // LANES, minlength=len(arms.blocks))
                 self._threads.share(
                     work, len(arms.blocks), costs=LANES + _STEPS_PER_BEGINNING * beginnings, handover=_HANDOVER
                 )
