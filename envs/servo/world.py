@@ -291,7 +291,7 @@ class ServoWorld:
                     if advance_and_begin(ended, seeds, self._draws, step, first, last) >= 0:
                         raise no_layout(self.config)
 
-                beginnings = np.bincount(ended // LANES, minlength=len(arms.blocks))
+                beginnings = np.bincount(ended // LANES, minlength=len(arms.blocks)).astype(np.float64)
                 self._threads.share(
                     work, len(arms.blocks), costs=LANES + _STEPS_PER_BEGINNING * beginnings, handover=_HANDOVER
                 )
