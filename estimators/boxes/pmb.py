@@ -42,6 +42,7 @@ from servotrack.estimators.boxes.confidence import (
     trust,
 )
 from servotrack.estimators.boxes.kalman import center_boxes, correct_boxes, predict_boxes, started_boxes
+from servotrack.estimators.boxes.meetings import MeetingRules, meet
 from servotrack.estimators.boxes.merged import SplitRules, split_merged
 from servotrack.estimators.boxes.noise import NoiseLearning, NoiseScales, initial_noise, learn_noise
 from servotrack.estimators.boxes.person import PersonOdds
@@ -170,6 +171,7 @@ class BoxPMB:
         turning: Speed of the camera, in units of `speed`, from which people outside the frame are expected back.
             Raising it lets them go as if they had walked out.
         sharing: Conditions under which people share a region, where scores say nothing.
+        meetings: Conditions under which people who met and parted exchange their identities.
         split_rules: Conditions under which a blob is split.
 
     Raises:
@@ -217,6 +219,7 @@ class BoxPMB:
     camera: CameraRules | None = field(default_factory=CameraRules)
     turning: float = 0.1
     sharing: SharingRules = field(default_factory=SharingRules)
+    meetings: MeetingRules = field(default_factory=MeetingRules)
     split_rules: SplitRules = field(default_factory=SplitRules)
 
     def __post_init__(self) -> None:
@@ -418,7 +421,20 @@ class BoxPMB:
                 tracks, found & (visible >= self.full_view), partner, frame.detections.features
             ),
         )
-        return after, fresh
+        return self._parted(after, partner, frame), fresh
+
+    def _parted(self, tracks: BoxTracks, partner: Labels, frame: _Frame) -> BoxTracks:
+        """Tracks with the identities that people who met and parted have by their appearance."""
+        features = frame.detections.features
+        if features.shape[1] == 0 or len(partner) < 2:
+            return tracks
+        known = (tracks.existence >= REPORTED) & (tracks.seen >= self.established)
+        changed = {name: getattr(tracks, name).copy() for name in ("label", "rival", "parted", "appearance", "before")}
+        meet(
+            tuple(changed.values()), known, center_boxes(tracks.mean), partner,
+            np.ascontiguousarray(frame.detections.boxes), np.asarray(features, np.float64), frame.dt, self.meetings,
+        )  # fmt: skip
+        return tracks._replace(**changed)
 
     def _shared(self, tracks: BoxTracks, frame: _Frame, boxes: Array, partner: Labels) -> Labels:
         """Region that each track shares with others, -1 for none; only where scores say nothing."""

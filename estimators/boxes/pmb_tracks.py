@@ -29,6 +29,9 @@ class BoxTracks(NamedTuple):
         readings: Readings of all detections, summed. Shape (T,).
         innovation: Normalized innovations of the last frame, zero without a detection. Shape (T, 4).
         appearance: Mean appearance vector of unit length, or zero. Shape (T, F).
+        rival: Identity of the person that it met and has not parted from, 0 for none. Shape (T,).
+        parted: Time since the two no longer overlap, s. Shape (T,).
+        before: Appearance before the meeting. Shape (T, F).
     """
 
     mean: Array
@@ -45,6 +48,9 @@ class BoxTracks(NamedTuple):
     readings: Array
     innovation: Array
     appearance: Array
+    rival: Labels
+    parted: Array
+    before: Array
 
 
 def new_tracks(
@@ -76,5 +82,8 @@ def new_tracks(
         reading,
         reading,
         np.zeros((count, 4)),
+        appearance,
+        none,
+        zeros,
         appearance,
     )

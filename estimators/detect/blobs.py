@@ -230,7 +230,10 @@ class BlobFinder:
         state = learn_scene(state, boxes, areas, shape, rules)
         confidences = np.ones(len(boxes))
         whole, keep = np.zeros(len(boxes)), np.ones(len(boxes), np.bool_)
-        if state.line is not None and state.seen >= self.cover.join_after:
+        if len(areas) and state.seen < self.cover.join_after:
+            # Before people are known, the largest region is the measure.
+            keep = areas >= rules.speck * areas.max()
+        elif state.line is not None:
             line = state.line
             whole = np.full(len(boxes), self.filled * line.typical**2)
             keep = areas >= rules.speck * whole

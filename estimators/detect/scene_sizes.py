@@ -55,7 +55,8 @@ class SceneRules(NamedTuple):
             more wide things.
         part: Smallest number of pixels of a person, as a share of those of a person who is entirely visible. Raising it
             removes more fragments.
-        speck: The same before heights are known, relative to the typical region.
+        speck: The same before heights by place are known, relative to the typical person, and before people are known,
+            relative to the largest region of the frame.
         far: People with a smaller expected height are left out, as a share of the typical height.
     """
 

@@ -101,3 +101,14 @@ def test_the_scale_of_the_scene_decides_what_is_too_small():
             add(mask, 350, 230, small, 0.36 * small)
             state, found = finder.step(state, mask, IMAGE)
         assert len(found.boxes) == 1
+
+
+def test_before_people_are_known_specks_beside_a_person_are_none_and_alone_they_count():
+    finder, person, specks = BlobFinder(), np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
+    add(person, 100, 230, 95, 34)
+    for mask in (person, specks):
+        add(mask, 300, 60, 6, 10)
+        add(mask, 250, 200, 10, 4)
+    _, found = finder.step(finder.initial(), person, IMAGE)
+    assert found.boxes.tolist() == [[83.0, 135.0, 34.0, 95.0]]
+    assert len(finder.step(finder.initial(), specks, IMAGE)[1].boxes) == 2
