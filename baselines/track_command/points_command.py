@@ -78,7 +78,7 @@ def run_points(source: Path, out: Path, truth_file: Path | None, console: Consol
                 raise storage_error(out / name, error) from error
     for name in written:
         console.print(str(out / name), soft_wrap=True)
-    for note in [*notes, *_projection_notes(points), *_repetition_notes(points)]:
+    for note in [*notes, *_projection_notes(points), *_row_notes(points)]:
         console.print(f"note: {note}", style="cyan", soft_wrap=True)
     count = sum(map(len, points.scans))
     console.print(f"{len(points.times)} scans, {count} points, {len(trajectories)} tracks")
@@ -119,14 +119,17 @@ def _projection_notes(points: PointScans) -> list[str]:
     ]
 
 
-def _repetition_notes(points: PointScans) -> list[str]:
-    """Return a note where rows were left out because they repeat others."""
-    if not points.repeated:
-        return []
-    return [
-        f"{points.repeated} rows repeat another one of the same time and were left out; if two targets may have one "
-        "position, tell them apart by a column id"
-    ]
+def _row_notes(points: PointScans) -> list[str]:
+    """Return notes where rows were sorted, or left out because they repeat others."""
+    notes = []
+    if points.unsorted:
+        notes.append(f"the rows were sorted by time: {points.unsorted} of them were before the row above")
+    if points.repeated:
+        notes.append(
+            f"{points.repeated} rows repeat another one of the same time and were left out; if two targets may have "
+            "one position, tell them apart by a column id"
+        )
+    return notes
 
 
 def _model_grid(points: PointScans, model: PointModel) -> Grid:

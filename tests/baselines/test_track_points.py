@@ -46,6 +46,32 @@ def test_a_row_that_is_stored_twice_is_one_point(tmp_path: Path) -> None:
     assert named.identities == [["a", "b"], ["a"]]
 
 
+def test_rows_are_sorted_by_time_whatever_their_order(tmp_path: Path) -> None:
+    head, *rows = (
+        "time,id,x,y,cov_xx,cov_xy,cov_yy\n2,c,5,6,3,0,3\n0,a,1,2,1,0,1\n1,,,,,,\n2,d,7,8,4,0,4\n0,b,3,4,2,0,2\n".splitlines()
+    )
+    given = read_points(written(tmp_path, "\n".join([head, *rows])))
+    assert given.times.tolist() == [0.0, 1.0, 2.0] and given.identities == [["a", "b"], [], ["c", "d"]]
+    assert [scan.tolist() for scan in given.scans] == [[[1.0, 2.0], [3.0, 4.0]], [], [[5.0, 6.0], [7.0, 8.0]]]
+    assert given.covariances is not None
+    assert [scan[:, 0, 0].tolist() for scan in given.covariances] == [[1.0, 2.0], [], [3.0, 4.0]]
+    assert given.unsorted == 2
+    tidy = read_points(written(tmp_path, "\n".join([head, *sorted(rows)])))
+    assert tidy.unsorted == 0 and [len(scan) for scan in tidy.scans] == [2, 0, 2]
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_semicolons_and_tabs_separate_cells_and_decimals_have_commas(tmp_path: Path, mark: str) -> None:
+    text = GOOD.replace(",", mark) + f"4{mark}-1,5{mark}2,25e1\n"
+    points = read_points(written(tmp_path, text))
+    assert points.scans[0].tolist() == [[0.0, 0.0], [5.0, 5.0]] and points.scans[4].tolist() == [[-1.5, 22.5]]
+
+
+def test_a_row_whose_cells_say_that_nothing_is_known_is_a_scan_without_detections(tmp_path: Path) -> None:
+    points = read_points(written(tmp_path, "time,x,y\n0,1,2\n1,nan,NaN\n2,NA,null\n3,1,2\n"))
+    assert [len(scan) for scan in points.scans] == [1, 0, 0, 1]
+
+
 def test_three_axes_covariances_and_identities(tmp_path: Path) -> None:
     head = "id,Time,x,y,z,cov_xx,cov_xy,cov_xz,cov_yy,cov_yz,cov_zz,quality"
     points = read_points(written(tmp_path, f"{head}\na,0,1,2,3,4,1,0,5,0,6,?\nb,1,1,2,3,4,1,0,5,0,6,?\n"))
@@ -80,7 +106,7 @@ def test_dates_and_degrees(tmp_path: Path) -> None:
         ("time,x,y\ninf,1,2\n1,1,2\n", "row 2: time must be finite"),
         ("time,x,y\nnoon,1,2\n1,1,2\n", "row 2: time must be seconds or a date"),
         ("time,x,y\n0,1,2\n2024-05-01,1,2\n", "row 3 must have a time of the kind of the first row"),
-        ("time,x,y\n3,1,2\n\n1,1,2\n", "row 4: time '1' is before that of the row above"),
+        ("time;x;y\n0;1,5;2\n1;1,5,2;2\n", "row 3: x must be a finite number, got '1,5,2'"),
         ("time,x,y\n0,1,2\n1,1\n", "row 3 must have 3 columns"),
         ("time,x,y,cov_xx\n0,1,2,1\n1,1,2,1\n", "all of cov_xx, cov_xy, cov_yy or none, got cov_xx"),
         ("time,x,y,cov_xx,cov_xy,cov_yy\n0,1,2,1,2,1\n1,1,2,1,0,1\n", "row 2 must have a positive definite"),
@@ -91,7 +117,7 @@ def test_dates_and_degrees(tmp_path: Path) -> None:
         ("time,x,y\n1e12,1,2\n", "row 2: time must be at most 1e.10 s from 0 or from 1970"),
         ("time,x,y\n9999-12-31,1,2\n", "row 2: time must be at most 1e.10 s"),
         (
-            "time,x,y\n" + "".join(f"0,1,{k}\n" for k in range(5001)),
+            "time,x,y\n" + "".join(f"0,1,{k}\n" for k in range(5001)) + "1,1,1\n",
             "row 5002 must have at most 5000 points of one time",
         ),
         ("time,x,y\n0,1,2\n" + "\n" * 1001, "more than 1000 blank rows"),

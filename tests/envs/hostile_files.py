@@ -274,7 +274,12 @@ def check_seqinfo(content: bytes, found: Any) -> None:
 
 def check_points(content: bytes, found: PointScans) -> None:
     """Check that every row is in the scan of its time, and that covariances and identities are those of the file."""
-    rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), strict=True))
+    text = content.decode("utf-8-sig")
+    begin = re.split(r"[\r\n]", text, maxsplit=1)[0]
+    mark = next((one for one in ",;\t" if one in begin), ",")
+    rows = list(csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=mark))
+    if mark != ",":
+        rows = [[re.sub(r"^([ \t]*[+-]?\d*),(\d+)", r"\1.\2", cell) for cell in row] for row in rows]
     rows = [row for row in rows if any(cell.strip(" \t") for cell in row)]
     head = [cell.strip(" \t").lower() for cell in rows[0]]
     at = {name: head.index(name) for name in head}
@@ -284,10 +289,10 @@ def check_points(content: bytes, found: PointScans) -> None:
     # Of rows that repeat time, position and identity one is kept.
     kept: dict[tuple[float | str, ...], list[str]] = {}
     for row in rows[1:]:
-        if any(row[k].strip(" \t") for k in axes):
+        if any(row[k].strip(" \t").lower() not in ("", "nan", "na", "n/a", "null", "none") for k in axes):
             place = (float(row[k]) for k in axes)
             kept.setdefault((float(row[time]), *place, *(row[k].strip(" \t") for k in names)), row)
-    placed = list(kept.values())
+    placed = sorted(kept.values(), key=lambda row: float(row[time]))
     assert sorted({float(row[time]) for row in rows[1:]}) == found.times.tolist()
     seen = np.repeat(found.times, [len(scan) for scan in found.scans]).tolist()
     places = np.concatenate(found.scans).tolist()

@@ -6,6 +6,7 @@ import csv
 import gzip
 import io
 import math
+import re
 import zlib
 from array import array
 from collections.abc import Iterator
@@ -44,6 +45,9 @@ _TIMES = ("time", "timestamp", "basedatetime", "t")
 _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "lng")
 _IDENTITIES = ("id", "label", "track", "target", "mmsi")
 _AXES = ("x", "y", "z")
+_MISSING = ("", "nan", "na", "n/a", "null", "none")
+"""Cells that hold no number, in lower case."""
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
 _REMEDY = "split the file"
 _BLANKS = " \t"
 """Characters that count as nothing around a cell. Python's own list has control characters, too."""
@@ -90,6 +94,7 @@ class PointScans(NamedTuple):
         origin: Origin of geographic positions; None for Cartesian ones.
         dated: True if times are dates: then they are seconds since 1970, UTC.
         repeated: Number of rows that were left out because they repeat another one of the same time.
+        unsorted: Number of rows of a time before that of the row above; all rows were sorted by time.
     """
 
     times: Array
@@ -99,6 +104,7 @@ class PointScans(NamedTuple):
     origin: GeographicOrigin | None
     dated: bool
     repeated: int = 0
+    unsorted: int = 0
 
     @property
     def dimensions(self) -> int:
@@ -131,9 +137,10 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     Columns, in any order and case: `time` (or timestamp, BaseDateTime; seconds, or dates in ISO 8601) and `x`, `y`[,
     `z`] in m, or `lat` and `lon` in degrees. Optional: the position's covariance as `cov_xx`, `cov_xy`, `cov_yy`[,
     `cov_xz`, `cov_yz`, `cov_zz`] in m^2, all of them, and an identity (`id`, `label`, `mmsi`). Further columns are
-    ignored. Rows of one time are one scan; a row without position stands for a scan without detections. Of rows of
-    one time with the same position and identity one is kept: a receiver that stores a message twice has not seen two
-    targets.
+    ignored. Rows are sorted by time. Those of one time are one scan; a row without position (empty cells, or nan)
+    stands for a scan without detections. Of rows of one time with the same position and identity the first one is kept:
+    a receiver that stores a message twice has not seen two targets. Semicolons and tabs separate cells too; then a
+    number may have a decimal comma.
 
     Args:
         path: The file, ending in .csv or .csv.gz.
@@ -142,8 +149,8 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     Raises:
         SequenceError: The file cannot be read or is too large, has wrong columns, no two scans, or more than
             `MOST_IN_SCAN` points of one time; a number is missing, not finite or beyond the limits of all estimators; a
-            latitude or longitude is out of range; a covariance is not positive definite; times run backward. The
-            message names path and row.
+            latitude or longitude is out of range; a covariance is not positive definite. The message names path and
+            row.
     """
     rows = csv_rows(path)
     first = next(rows, None)
@@ -152,13 +159,10 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     head = [cell.strip(_BLANKS).lower() for cell in first[1]]
     columns = _Columns.of(path, head)
     d, names = len(columns.places), columns.covariance_names
-    times, sizes = array("d"), array("q")
-    places, covariances, numbers = array("d"), array("d"), array("q")
-    identities: list[list[str]] = []
-    texts: dict[str, str] = {}
+    every, times, places, covariances = array("d"), array("d"), array("d"), array("d")
+    texts, numbers = array("q"), array("q")
+    names_of: dict[str, int] = {}
     dated: bool | None = None
-    here: set[tuple[str | float, ...]] = set()
-    repeated = 0
     for number, row in rows:
         where = f"{path} row {number}"
         if len(row) != len(head):
@@ -169,66 +173,67 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
                 f"{where} must have a time of the kind of the first row, got {_short(row[columns.time])}"
             )
         dated = is_date
-        if times and time < times[-1]:
-            raise SequenceError(
-                f"{where}: time {_short(row[columns.time])} is before that of the row above; sort the rows by time"
-            )
-        if not times or time > times[-1]:
-            times.append(time)
-            sizes.append(0)
-            here.clear()
-            if columns.identity is not None:
-                identities.append([])
+        every.append(time)
         cells = [row[at].strip(_BLANKS) for at in columns.places]
-        if not any(cells):
+        if all(cell.lower() in _MISSING for cell in cells):
             continue
         place = [csv_number(cell, head[at], where) for cell, at in zip(cells, columns.places, strict=True)]
         if columns.geographic:
-            if not (abs(place[0]) <= 90.0 and -180.0 <= place[1] <= 360.0):
-                raise SequenceError(
-                    f"{where} must have a latitude in [-90, 90] and a longitude in [-180, 360], got {', '.join(cells)}"
-                )
-            if abs(place[0]) > _HIGHEST_LATITUDE:
-                raise SequenceError(
-                    f"{where}: latitude must be at most {_HIGHEST_LATITUDE:g} in magnitude, got {cells[0]}; near a "
-                    "pole give x and y in a plane of your own"
-                )
+            _check_degrees(place, cells, where)
             origin = origin or GeographicOrigin(place[0], place[1])
         text = "" if columns.identity is None else row[columns.identity].strip(_BLANKS)
-        if (text, *place) in here:
-            repeated += 1
-            continue
-        here.add((text, *place))
-        sizes[-1] += 1
-        if sizes[-1] > MOST_IN_SCAN:
-            raise SequenceError(
-                f"{where} must have at most {MOST_IN_SCAN} points of one time, got more at "
-                f"{_short(row[columns.time])}; give each scan its own time, or leave out weak points"
-            )
+        times.append(time)
         places.extend(place)
-        if columns.identity is not None:
-            identities[-1].append(texts.setdefault(text, text))
+        texts.append(names_of.setdefault(text, len(names_of)))
+        numbers.append(number)
         if names:
             covariances.extend(csv_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
-            numbers.append(number)
-    if len(times) < 2:
-        raise SequenceError(f"{path} must have scans at two times or more, got {len(times)}; tracks need motion")
+    scan_times = np.unique(np.array(every))
+    if len(scan_times) < 2:
+        raise SequenceError(f"{path} must have scans at two times or more, got {len(scan_times)}; tracks need motion")
     if not places:
         raise SequenceError(f"{path} has no row with a position")
-    positions = np.array(places).reshape(-1, d)
+    scan, positions = np.searchsorted(scan_times, np.array(times)), np.array(places).reshape(-1, d)
+    identities, own_rows = np.array(texts), np.array(numbers)
+    _, first_of = np.unique(np.column_stack([scan, identities, positions]), axis=0, return_index=True)
+    kept = np.sort(first_of)
+    kept = kept[np.argsort(scan[kept], kind="stable")]
+    sizes = np.bincount(scan[kept], minlength=len(scan_times))
+    if sizes.max() > MOST_IN_SCAN:
+        full = int(sizes.argmax())
+        row_number = own_rows[kept[scan[kept] == full][MOST_IN_SCAN]]
+        raise SequenceError(
+            f"{path} row {row_number} must have at most {MOST_IN_SCAN} points of one time, got {sizes[full]} at "
+            f"{scan_times[full]:g} s; give each scan its own time, or leave out weak points"
+        )
     if columns.geographic and origin is not None:
         positions = origin.to_plane(positions)
     ends = np.cumsum(sizes)[:-1]
-    matrices = _covariances(path, np.array(covariances), np.array(numbers), d) if names else None
+    matrices = _covariances(path, np.array(covariances), own_rows, d) if names else None
+    words = list(names_of)
     return PointScans(
-        np.array(times),
-        np.split(positions, ends),
-        None if matrices is None else np.split(matrices, ends),
-        identities if columns.identity is not None else None,
+        scan_times,
+        np.split(positions[kept], ends),
+        None if matrices is None else np.split(matrices[kept], ends),
+        None if columns.identity is None else [[words[k] for k in own] for own in np.split(identities[kept], ends)],
         origin if columns.geographic else None,
         bool(dated),
-        repeated,
+        len(positions) - len(kept),
+        int((np.diff(np.array(every)) < 0.0).sum()),
     )
+
+
+def _check_degrees(place: list[float], cells: list[str], where: str) -> None:
+    """Raise a SequenceError unless latitude and longitude are in range and the plane has an axis to the east."""
+    if not (abs(place[0]) <= 90.0 and -180.0 <= place[1] <= 360.0):
+        raise SequenceError(
+            f"{where} must have a latitude in [-90, 90] and a longitude in [-180, 360], got {', '.join(cells)}"
+        )
+    if abs(place[0]) > _HIGHEST_LATITUDE:
+        raise SequenceError(
+            f"{where}: latitude must be at most {_HIGHEST_LATITUDE:g} in magnitude, got {cells[0]}; near a "
+            "pole give x and y in a plane of your own"
+        )
 
 
 class _Columns(NamedTuple):
@@ -340,28 +345,37 @@ def read_point_truth(path: Path, points: PointScans) -> PointTruth:
 
 
 def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows that are not blank, with the numbers of their last lines from 1."""
+    """Yield the rows that are not blank, with the numbers of their last lines from 1.
+
+    Cells are separated by commas, or by the semicolons or tabs of a header without commas; then numbers with a decimal
+    comma get a point.
+    """
     content = read_bounded(path, MOST_BYTES, _REMEDY)
     packed = content[:2] == b"\x1f\x8b"
     stream = gzip.GzipFile(fileobj=io.BytesIO(content)) if packed else io.BytesIO(content)
     lines = _Lines(path, io.TextIOWrapper(stream, encoding="utf-8-sig", newline=""))
-    reader = csv.reader(lines, strict=True)
     blank = 0
     try:
+        separator = lines.separator()
+        reader = csv.reader(lines, strict=True, delimiter=separator)
         for row in reader:
             lines.of_row = 0
             if any(cell.strip(_BLANKS) for cell in row):
-                yield reader.line_num, row
+                yield reader.line_num, row if separator == "," else [_with_point(cell) for cell in row]
                 continue
             blank += 1
             if blank > _MOST_BLANK:
                 raise SequenceError(f"{path} has more than {_MOST_BLANK} blank rows; is it a CSV file?")
     except csv.Error as error:
-        raise SequenceError(f"{path} row {reader.line_num} is no row of a CSV file ({error})") from error
+        raise SequenceError(f"{path} row {lines.number} is no row of a CSV file ({error})") from error
     except (OSError, EOFError, zlib.error) as error:
         raise SequenceError(f"{path} is a damaged gzip file ({error}); download it again") from error
     except UnicodeDecodeError as error:
-        raise SequenceError(f"{path} must be text in UTF-8 ({error.reason} after row {reader.line_num})") from error
+        raise SequenceError(f"{path} must be text in UTF-8 ({error.reason} after row {lines.number})") from error
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip(_BLANKS)) else cell
 
 
 class _Lines:
@@ -373,27 +387,34 @@ class _Lines:
 
     Attributes:
         of_row: Number of lines since the reader set it to 0.
+        number: Number of lines so far.
     """
 
     def __init__(self, path: Path, stream: io.TextIOWrapper) -> None:
         self._path, self._stream = path, stream
-        self._number = self._size = self.of_row = 0
+        self.number = self._size = self.of_row = 0
+        self._first: str | None = None
+
+    def separator(self) -> str:
+        """Separator of cells by the first line, which is read again."""
+        self._first = self._stream.readline(_LONGEST_LINE + 1)
+        return "," if "," in self._first else next((mark for mark in ";\t" if mark in self._first), ",")
 
     def __iter__(self) -> _Lines:
         return self
 
     def __next__(self) -> str:
-        line = self._stream.readline(_LONGEST_LINE + 1)
+        line, self._first = self._stream.readline(_LONGEST_LINE + 1) if self._first is None else self._first, None
         if not line:
             raise StopIteration
-        self._number, self._size, self.of_row = self._number + 1, self._size + len(line), self.of_row + 1
+        self.number, self._size, self.of_row = self.number + 1, self._size + len(line), self.of_row + 1
         if len(line) > _LONGEST_LINE:
             raise SequenceError(
-                f"{self._path} row {self._number} has more than {_LONGEST_LINE} characters; is it a CSV file?"
+                f"{self._path} row {self.number} has more than {_LONGEST_LINE} characters; is it a CSV file?"
             )
         if self.of_row > _MOST_LINES_OF_ROW:
             raise SequenceError(
-                f"{self._path} row {self._number}: a row must have at most {_MOST_LINES_OF_ROW} lines; is a quotation "
+                f"{self._path} row {self.number}: a row must have at most {_MOST_LINES_OF_ROW} lines; is a quotation "
                 "mark missing?"
             )
         if self._size > MOST_BYTES:
