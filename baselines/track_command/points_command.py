@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from datetime import datetime, timezone
 from pathlib import Path
@@ -10,31 +9,29 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.figure import save_figure
 from servotrack.baselines.reporting.files import ResultsError, storage_error, temporary_folder_in
-from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.reporting.grid import Grid
 from servotrack.baselines.reporting.terminal import print_tables
 from servotrack.baselines.reporting.trajectory_figure import draw_trajectories
 from servotrack.baselines.reporting.trajectory_files import write_geojson, write_trajectories
 from servotrack.baselines.running.stopping import undisturbed
 from servotrack.baselines.track_command.claim import claim_folder
+from servotrack.baselines.track_command.set_scores import SCORE_FILES, SetScoring, write_set_scores
 from servotrack.envs.track.files.points import MOST_TRUE_PLACES, PointScans, PointTruth, read_point_truth, read_points
 from servotrack.envs.track.points.measured_model import measured_model
 from servotrack.envs.track.points.point_extent import scores_cutoff
 from servotrack.envs.track.points.point_model import PointModel, smoothing_lag, track_points
-from servotrack.estimators.metrics import gospa, ospa, ospa2
 from servotrack.estimators.rfs import Trajectory
 from servotrack.estimators.types import Array
 
-TRACKS, MAP, FIGURE, SCORES = "tracks.csv", "tracks.geojson", "tracks.png", "scores"
-"""Names of the files written; the scores are a .json and a .md."""
-OUTPUTS = (TRACKS, MAP, FIGURE, SCORES + ".json", SCORES + ".md")
+TRACKS, MAP, FIGURE = "tracks.csv", "tracks.geojson", "tracks.png"
+"""Names of the files that every run writes."""
+OUTPUTS = (TRACKS, MAP, FIGURE, *SCORE_FILES)
 """Names of all files that a run may write."""
 _PROJECTION_ERROR = 0.05
 """Largest error of distances in the plane of geographic positions that needs no note, as a share."""
-_FORMAT, _FORMAT_VERSION = "servotrack-point-scores", 1
 
 
 def run_points(source: Path, out: Path, truth_file: Path | None, console: Console) -> None:
@@ -174,33 +171,11 @@ def _score(
             f"note: {len(trajectories)} tracks at {len(points.times)} scans are too many to score", style="cyan"
         )
         return
-    cutoff = scores_cutoff(model.low, model.high)
     estimate = _stacked(points, trajectories)[:, truth.known]
-    true = truth.tracks[:, truth.known]
-    sets = [(_present(true[:, k]), _present(estimate[:, k])) for k in range(true.shape[1])]
-    scores = {
-        "ospa": float(np.mean([ospa(a, b, cutoff) for a, b in sets])),
-        "gospa": float(np.mean([gospa(a, b, cutoff, order=1.0).total for a, b in sets])),
-        "ospa2": ospa2(true[_seen(true)], estimate[_seen(estimate)], cutoff),
-        "count_error": float(np.mean([abs(len(a) - len(b)) for a, b in sets])),
-    }
-    headings = ["tracker", "OSPA m", "GOSPA m", "OSPA(2) m", "count error"]
-    grid = Grid(headings, [["trajectory-pmb", *(f"{value:.3g}" for value in scores.values())]], 1)
-    note = f"Cut-off {cutoff:.4g} m, order 1, {len(sets)} scans of the truth, {int(_seen(true).sum())} true tracks."
-    print_tables(console, {source.name: grid})
-    console.print(note, style="dim", highlight=False)
-    record = {
-        "format": _FORMAT,
-        "version": _FORMAT_VERSION,
-        "source": source.name,
-        "cutoff": cutoff,
-        "scans": len(sets),
-        "scores": scores,
-        "provenance": provenance(),
-    }
-    files = {SCORES + ".json": json.dumps(record, indent=1) + "\n", SCORES + ".md": f"{as_markdown(grid)}\n{note}\n"}
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    scoring = SetScoring(
+        "servotrack-point-scores", "trajectory-pmb", "scans", "m", scores_cutoff(model.low, model.high)
+    )
+    write_set_scores(source.name, truth.tracks[:, truth.known], estimate, scoring, folder, console)
 
 
 def _stacked(points: PointScans, trajectories: list[Trajectory]) -> Array:
@@ -210,15 +185,6 @@ def _stacked(points: PointScans, trajectories: list[Trajectory]) -> Array:
     for track, one in zip(tracks, trajectories, strict=True):
         track[np.searchsorted(points.times, one.times)] = one.states[:, 0 : 2 * d : 2]
     return tracks
-
-
-def _present(members: Array) -> Array:
-    return members[~np.isnan(members[:, 0])]
-
-
-def _seen(tracks: Array) -> Array:
-    """Mask of the tracks that exist at any scan."""
-    return np.asarray(~np.isnan(tracks[:, :, 0]).all(axis=1))
 
 
 def _date(time: float) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,27 +12,25 @@ from typing import get_args
 import numpy as np
 from rich.console import Console
 
-from servotrack.baselines.evaluation.provenance import provenance
 from servotrack.baselines.evaluation.results import ResultsFolder
 from servotrack.baselines.reporting.bearing_figure import draw_bearings
 from servotrack.baselines.reporting.figure import save_figure
 from servotrack.baselines.reporting.files import atomic_path
-from servotrack.baselines.reporting.grid import Grid, as_markdown
+from servotrack.baselines.reporting.grid import Grid
 from servotrack.baselines.reporting.terminal import print_tables, progress_bars
 from servotrack.baselines.track_command.claim import claim_folder
+from servotrack.baselines.track_command.set_scores import SCORE_FILES, SetScoring, write_set_scores
 from servotrack.envs.track.files.recordings import BearingTruth, read_bearing_truth, read_recording
-from servotrack.estimators.metrics import gospa, ospa, ospa2
 from servotrack.estimators.sonar import BearingRecord, BearingTrack, ElementArray, bearing_record
 from servotrack.estimators.sonar.beamforming import Beamformer
 from servotrack.estimators.types import Array
 
-TRACKS, FIGURE, SCORES = "tracks.csv", "tracks.png", "scores"
-"""Names of the files written; the scores are a .json and a .md."""
-OUTPUTS = (TRACKS, FIGURE, SCORES + ".json", SCORES + ".md")
+TRACKS, FIGURE = "tracks.csv", "tracks.png"
+"""Names of the files that every run writes."""
+OUTPUTS = (TRACKS, FIGURE, *SCORE_FILES)
 """Names of all files that a run may write."""
 CUTOFF = 5.0
 """Cut-off of the scores, deg."""
-_FORMAT, _FORMAT_VERSION = "servotrack-bearing-scores", 1
 
 
 @dataclass(frozen=True)
@@ -177,44 +174,11 @@ def _score(
     for row, track in zip(estimate, tracks, strict=True):
         row[track.first : track.last + 1] = track.bearings
     true, found = (_on_circle(bearings[:, truth.known]) for bearings in (truth.bearings, estimate))
-    sets = [(_present(true[:, k]), _present(found[:, k])) for k in range(true.shape[1])]
-    scores = {
-        "ospa": float(np.mean([ospa(a, b, CUTOFF) for a, b in sets])),
-        "gospa": float(np.mean([gospa(a, b, CUTOFF, order=1.0).total for a, b in sets])),
-        "ospa2": ospa2(true[_seen(true)], found[_seen(found)], CUTOFF),
-        "count_error": float(np.mean([abs(len(a) - len(b)) for a, b in sets])),
-    }
-    headings = ["tracker", "OSPA deg", "GOSPA deg", "OSPA(2) deg", "count error"]
-    grid = Grid(headings, [["hmm-row", *(f"{value:.3g}" for value in scores.values())]], 1)
-    note = f"Cut-off {CUTOFF:g} deg, order 1, {len(sets)} rows of the truth, {int(_seen(true).sum())} true tracks."
-    print_tables(console, {source.name: grid})
-    console.print(note, style="dim", highlight=False)
-    document = {
-        "format": _FORMAT,
-        "version": _FORMAT_VERSION,
-        "source": source.name,
-        "cutoff": CUTOFF,
-        "rows": len(sets),
-        "scores": scores,
-        "provenance": provenance(),
-    }
-    files = {SCORES + ".json": json.dumps(document, indent=1) + "\n", SCORES + ".md": f"{as_markdown(grid)}\n{note}\n"}
-    for name, text in files.items():
-        with atomic_path(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return list(files)
+    scoring = SetScoring("servotrack-bearing-scores", "hmm-row", "rows", "deg", CUTOFF)
+    return write_set_scores(source.name, true, found, scoring, out, console)
 
 
 def _on_circle(bearings: Array) -> Array:
     """Points on a circle of circumference 360, so that 359 and 1 deg are near each other. Shape (n, T, 2)."""
     angle = np.radians(bearings)
     return np.degrees(np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-
-
-def _present(members: Array) -> Array:
-    return members[~np.isnan(members[:, 0])]
-
-
-def _seen(tracks: Array) -> Array:
-    """Mask of the tracks that exist at any row."""
-    return np.asarray(~np.isnan(tracks[:, :, 0]).all(axis=1))
