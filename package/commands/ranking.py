@@ -162,6 +162,9 @@ def leaderboard(
         Path | None,
         typer.Option(help="With --site: file of `servotrack verify --output`. Default: verdicts.json in the folder."),
     ] = None,
+    every_seed: Annotated[
+        bool, typer.Option("--every-seed", help="With --site: replays of all seeds, however large the site becomes.")
+    ] = False,
     table_format: TableFormat = "table",
 ) -> None:
     """Write tables, figure and page from a folder of results, or a site from results or submissions (SUITE/AGENT)."""
@@ -178,10 +181,12 @@ def leaderboard(
             raise ValueError(
                 "--site writes the site alone; run the command again without --site for tables and figures"
             )
-        _write_site(results, verdicts, site, console(table_format))
+        _write_site(results, verdicts, site, every_seed, console(table_format))
         return
     if verdicts is not None:
         raise ValueError("--verdicts needs --site: only the site shows badges")
+    if every_seed:
+        raise ValueError("--every-seed needs --site: only the site has replays")
     cells = ResultsFolder(results).load_all()
     tasks = summarize(cells)
     film = results / "best.webm"
@@ -294,7 +299,7 @@ def _tune_structure(env_id: str, level: int, budget: int, run: int, output: Path
     screen.print(str(output), soft_wrap=True)
 
 
-def _write_site(source: Path, verdicts: Path | None, folder: Path, screen: Screen) -> None:
+def _write_site(source: Path, verdicts: Path | None, folder: Path, every_seed: bool, screen: Screen) -> None:
     from servotrack.baselines.leaderboard.site.entries import entries_of
     from servotrack.baselines.leaderboard.site.write import write_site
     from servotrack.baselines.reporting.terminal import command_line, progress_bars
@@ -302,7 +307,7 @@ def _write_site(source: Path, verdicts: Path | None, folder: Path, screen: Scree
     entries = entries_of(source, verdicts)
     with progress_bars() as progress:
         bar = progress.add_task("episodes", total=len(entries))
-        paths = write_site(entries, folder, command_line(), lambda name: progress.advance(bar))
+        paths = write_site(entries, folder, command_line(), lambda name: progress.advance(bar), every_seed)
     size = sum(path.stat().st_size for path in paths)
     screen.print(f"{paths[0]} ({len(paths)} files, {size / 1e6:.2f} MB)", soft_wrap=True)
 

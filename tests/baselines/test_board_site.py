@@ -317,3 +317,18 @@ def test_sources_without_rows_are_refused(tmp_path: Path) -> None:
         entries_of(tmp_path)
     with pytest.raises(ValueError, match="at least one row"):
         write_site(list[Entry](), tmp_path, "test")
+
+
+def test_every_seed_can_be_watched_if_all_are_wanted(tmp_path: Path) -> None:
+    """The usual site has best, median, worst and the first shared seeds of 20; the large one has all of both agents."""
+    agents, seeds = ("random", "kf"), range(200_000, 200_020)
+    for agent in agents:
+        evaluate("UncalibServo-v0", agent, seeds, {"level": 1}, folder=ResultsFolder(tmp_path / "r"), timing=False)
+    entries = entries_of(tmp_path / "r")
+    watched = {}
+    for every in (False, True):
+        paths = write_site(entries, tmp_path / f"site-{every}", "test", every_seed=every)
+        task = next(path for path in paths if path.name == "task-0.js")
+        watched[every] = {(replay["agent"], replay["seed"]) for replay in delivered(task)["replays"]}
+    assert watched[True] == {(agent, seed) for agent in agents for seed in seeds}
+    assert watched[False] < watched[True]

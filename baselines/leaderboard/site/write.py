@@ -75,7 +75,11 @@ class _Task:
 
 
 def write_site(
-    entries: Sequence[Entry], folder: Path, command: str, on_cell: Callable[[str], None] = lambda name: None
+    entries: Sequence[Entry],
+    folder: Path,
+    command: str,
+    on_cell: Callable[[str], None] = lambda name: None,
+    every_seed: bool = False,
 ) -> list[Path]:
     """Write the site.
 
@@ -84,6 +88,7 @@ def write_site(
         folder: Output folder, made where it is missing. Files of other names stay.
         command: Command that the page names as its origin.
         on_cell: Called with agent and environment before the replays of a cell are made.
+        every_seed: True for replays of all seeds that the agents of a task share, however large the site becomes.
 
     Returns:
         The paths written; `index.html` is the first.
@@ -105,7 +110,7 @@ def write_site(
         tasks += made
         suites.append((suite, made))
     for task in tasks:
-        _add_motions(task, on_cell)
+        _add_motions(task, on_cell, len(task.common_seeds()) * SET_COST if every_seed else MOST_SHARED)
     race = _race(tasks)
     files = {"data/board.js": _script("board", _board(suites, entries, command, race is not None))}
     if race is not None:
@@ -114,8 +119,10 @@ def write_site(
         files[name] = _asset(name)
     files["board.css"] = _asset("board.css")
     files["index.html"] = _asset("index.html")
-    room = LARGEST_SITE - sum(len(text.encode()) for text in files.values())
-    files |= _chunks_within(tasks, room)
+    if every_seed:
+        files |= _chunks(tasks, max(len(task.common_seeds()) for task in tasks) * SET_COST)
+    else:
+        files |= _chunks_within(tasks, LARGEST_SITE - sum(len(text.encode()) for text in files.values()))
     written = []
     for name in sorted(files, key=lambda name: name != "index.html"):
         with atomic_path(folder / name) as temporary:
@@ -128,9 +135,9 @@ def _entries_of(summary: TaskSummary, entries: Sequence[Entry]) -> dict[str, Ent
     return {entry.cell.agent: entry for entry in entries if entry.cell.environment == summary.environment}
 
 
-def _add_motions(task: _Task, on_cell: Callable[[str], None]) -> None:
+def _add_motions(task: _Task, on_cell: Callable[[str], None], shared: int) -> None:
     """Replay the episodes of a task: all that have traces, which proves its rows, else those that may be shown."""
-    for agent, labels in task.labels(MOST_SHARED).items():
+    for agent, labels in task.labels(shared).items():
         on_cell(f"{agent} in {task.summary.environment}")
         if not replays.can_replay(task.cell):
             continue
@@ -260,16 +267,21 @@ def _scale(task: _Task) -> list[str] | None:
 
 def _chunks_within(tasks: Sequence[_Task], room: int) -> dict[str, str]:
     """Files of data of all tasks, with as many shared seeds as fit into `room` bytes."""
-    files: dict[str, str] = {}
-    for shared in range(MOST_SHARED, -1, -1):
-        files = {}
-        for task in tasks:
-            document = episode_values(task.summary, task.entries)
-            values = {agent: task.values(agent) for agent in task.entries}
-            document |= replays.pack(task.motions, task.labels(shared), task.scenes, values)
-            files[f"data/{task.chunk}.js"] = _script(task.chunk, document)
+    for shared in range(MOST_SHARED, 0, -1):
+        files = _chunks(tasks, shared)
         if sum(map(len, files.values())) <= room:
-            break
+            return files
+    return _chunks(tasks, 0)
+
+
+def _chunks(tasks: Sequence[_Task], shared: int) -> dict[str, str]:
+    """Files of data of all tasks, with a number of shared seeds."""
+    files = {}
+    for task in tasks:
+        document = episode_values(task.summary, task.entries)
+        values = {agent: task.values(agent) for agent in task.entries}
+        document |= replays.pack(task.motions, task.labels(shared), task.scenes, values)
+        files[f"data/{task.chunk}.js"] = _script(task.chunk, document)
     return files
 
 

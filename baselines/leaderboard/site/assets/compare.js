@@ -21,7 +21,7 @@
     svg.append(s("line", { class: "diagonal", x1: x(range[0]), y1: y(range[0]), x2: x(range[1]), y2: y(range[1]) }));
     const corner = measure.highIsGood ? [b, a] : [a, b];
     svg.append(s("text", { class: "hint", x: box.left + 10, y: box.top + 18 }, `${corner[0]} better`), s("text", { class: "hint", x: box.right - 10, y: box.bottom - 10, "text-anchor": "end" }, `${corner[1]} better`));
-    const hint = h("p", { class: "hover", "aria-hidden": "true" }, pairs.some((pair) => pair.watch.length) ? "Filled points can be watched." : "");
+    const hint = h("p", { class: "hover", "aria-hidden": "true" }, pairs.some((pair) => pair.watch.length) ? `Filled points can be watched.${pairs.every((pair) => pair.watch.length) ? "" : " A site made with --every-seed shows all."}` : "");
     for (const pair of [...pairs].sort((p, q) => p.watch.length - q.watch.length)) {
       const label = `seed ${pair.seed}: ${a} ${ns.withUnit(pair.x, measure)}, ${b} ${ns.withUnit(pair.y, measure)}`;
       const point = s("circle", { class: `point${pair.watch.length ? " live" : ""}`, cx: x(pair.x * measure.factor), cy: y(pair.y * measure.factor), r: pair.watch.length ? 5.5 : 3.5 });
