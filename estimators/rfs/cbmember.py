@@ -150,8 +150,11 @@ def _update(  # type: ignore[no-untyped-def]
             i = owner[c]
             missed = 1.0 - detectable[i]
             weight[c] = pool.weight[b, c] * (1.0 - detection[b, c]) / missed if missed > 0.0 else 0.0
-            mean[c] = pool.mean[b, c]
             source[c], group[c] = c, -1
+            # Components that the reduction drops need no mean.
+            if weight[c] > prune and existence[i] >= least:
+                for k in range(n + m):
+                    mean[c, k] = pool.mean[b, c, k]
         numerator = np.zeros(Z)
         evidence = clutter[b, :Z].copy()
         density = np.zeros(Z)
