@@ -35,10 +35,7 @@ class Cautious:
         risk: Largest expected error from the uncertainty of J, as a share of the error that is to be removed. Larger
             values move faster along a poor estimate.
         certain: Ratio of J to its standard deviation, squared, above which a direction counts as known.
-        significance: Error in standard deviations at which a direction that is not known moves by half. Larger values
-            keep the posture steadier at rest.
-        moving_significance: The same while the target is known to move by itself, of the error one time constant of the
-            law ahead. Smaller values let the tool lag less in directions that the image hardly shows.
+        significance: Error in standard deviations at which a direction that is not known moves by half.
     """
 
     gain: float = 0.2
@@ -47,14 +44,13 @@ class Cautious:
     risk: float = 0.5
     certain: float = 25.0
     significance: float = 3.0
-    moving_significance: float = 1.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.gain <= 1.0:
             raise ValueError(f"gain must be in (0, 1] (fraction of the error removed in one period), got {self.gain}")
         if not 0.0 <= self.integral_gain < np.inf:
             raise ValueError(f"integral_gain must be finite and >= 0 1/s, got {self.integral_gain}")
-        for name in ("period", "risk", "significance", "moving_significance"):
+        for name in ("period", "risk", "significance"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be finite and > 0, got {getattr(self, name)}")
         if not 0.0 <= self.certain < np.inf:
@@ -127,14 +123,7 @@ class Cautious:
             np.ascontiguousarray(estimate.jacobian).reshape(rows, m, d),
             np.ascontiguousarray(covariance).reshape(rows, m, d, d),
             self.period,
-            (
-                self.gain,
-                self.integral_gain,
-                self.risk,
-                self.certain,
-                self.significance**2,
-                self.moving_significance**2,
-            ),
+            (self.gain, self.integral_gain, self.risk, self.certain, self.significance**2),
         )
         return (
             motion.reshape(*batch, d - 1),
@@ -183,7 +172,7 @@ def row_weights(jacobian, covariance, variance):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _motions(integrals, errors, given, variances, jacobians, covariances, period, tuning):  # type: ignore[no-untyped-def]
     """Motion of each row within a period, see `Cautious`, and its quadratic form. Shapes (rows, n), (rows, n, n)."""
-    gain, integral_gain, risk, certain, resting, moving = tuning
+    gain, integral_gain, risk, certain, significance = tuning
     integrals = integrals.copy()
     rows, m, d = jacobians.shape
     n = d - 1
@@ -202,12 +191,8 @@ def _motions(integrals, errors, given, variances, jacobians, covariances, period
         # Steep in the ratio, whose mean over many features hardly passes 2 by chance.
         ratio = min(drift / (4.0 * drift_doubt), 1e3) ** 4 if drift_doubt > 0.0 else 0.0
         lagging = ratio / (1.0 + ratio)
-        # A velocity without any variance counts in full, and is not taken to lag. What moves by itself leaves the tool
-        # behind for as long as its motion is taken for noise.
-        moves = drift > 0.0 and drift_doubt == 0.0
+        # A velocity without any variance counts in full, and is not taken to lag.
         known = lagging if drift_doubt > 0.0 else 1.0
-        horizon = period / gain if moves else 0.0
-        significance = moving if moves else resting
         for i in range(m):
             if weights[i] == 0.0:
                 continue
@@ -221,7 +206,7 @@ def _motions(integrals, errors, given, variances, jacobians, covariances, period
             counted += weights[i]
             for j in range(n):
                 pull[j] += weight * jacobian[i, j] * wanted
-                along[j] += weight * jacobian[i, j] * (errors[row, i] + velocity * horizon)
+                along[j] += weight * jacobian[i, j] * errors[row, i]
                 for k in range(n):
                     gram[j, k] += weight * jacobian[i, j] * jacobian[i, k]
                     doubt[j, k] += weight * covariance[i, j, k]
