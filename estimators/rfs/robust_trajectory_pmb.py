@@ -7,8 +7,9 @@ tracks are their own, so that the smoother's histories need no motion modes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +19,10 @@ from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.robust_pmb import RobustPMB, RobustPMBState
 from servotrack.estimators.rfs.sensors import Sensor
-from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.rfs.sets import SetEstimate, read_measurements
 from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB, TrajectoryPMBState
 from servotrack.estimators.stateful import add_axis
-from servotrack.estimators.types import Labels
+from servotrack.estimators.types import Array, Labels
 
 
 class RobustTrajectoryPMBState(NamedTuple):
@@ -39,6 +40,11 @@ class RobustTrajectoryPMBState(NamedTuple):
     def next_label(self) -> Labels:
         """The next new identity of the smoother. Shape (*batch,)."""
         return self.smoother.next_label
+
+
+def _clutter_at(density: Callable[[Array], Array], intensity: float | Array, z: Array) -> Array:
+    """Clutter intensity at measurements (Z, m) of a mean intensity and a relative density. Shape (Z,)."""
+    return np.asarray(intensity * density(z), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +81,13 @@ class RobustTrajectoryPMB:
     @cached_property
     def smoother(self) -> TrajectoryPMB:
         """The filter that reports."""
-        guide = self.guide
+        guide, clutter = self.guide, self.guide.clutter_intensity
+        if guide.clutter_density is not None:
+            clutter = partial(_clutter_at, guide.clutter_density, float(np.asarray(clutter)))
         return TrajectoryPMB(
             self.model,
             guide.birth,
-            clutter_intensity=guide.clutter_intensity,
+            clutter_intensity=clutter,
             survival=guide.survival,
             detection=guide.detection,
             spawn=guide.spawn,
@@ -121,7 +129,11 @@ class RobustTrajectoryPMB:
         known = guide.sensor if np.ndim(guide.next_label) else add_axis(guide.sensor)
         if sensor is None:
             intensity = adaptation.clutter_rate(known) / self.guide.volume
-            now = now.stating(adaptation.detection(known), intensity)
+            clutter: Array | Callable[[Array], Array] = intensity
+            if self.guide.clutter_density is not None:
+                _, number, _ = read_measurements(measurement, self.guide._sizes[1])
+                clutter = partial(_clutter_at, self.guide.clutter_density, np.repeat(intensity, number))
+            now = now.stating(adaptation.detection(known), clutter)
 
         def adapted(births: BirthMixture) -> BirthMixture:
             return self.guide.adapted_births(births, known)

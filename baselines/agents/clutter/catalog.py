@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -30,6 +31,7 @@ from servotrack.estimators.rfs import (
 )
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
+from servotrack.estimators.types import Array
 
 GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM, TrajectoryPMB)
 
@@ -143,6 +145,7 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
         birth,
         clutter_intensity=scene.clutter_intensity,
         volume=float(np.prod(scene.seen_high - scene.seen_low)),
+        clutter_density=scene.clutter_map and partial(_relative_clutter, scene.clutter_map, scene.clutter_intensity),
         survival=RegionSurvival(model, scene.survival_probability, scene.region_low, scene.region_high),
         detection=scene.detection_probability,
         # The ready modes are those of the plane.
@@ -152,6 +155,10 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
         else None,
         extraction=settings.extraction,
     )
+
+
+def _relative_clutter(intensity: Callable[[Array], Array], mean: float, z: Array) -> Array:
+    return np.asarray(intensity(z) / mean)
 
 
 def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
