@@ -51,13 +51,16 @@ def _clutter_at(density: Callable[[Array], Array], intensity: float | Array, z: 
 class RobustTrajectoryPMB:
     """`TrajectoryPMB` whose detection probability, clutter and births at measurements are estimated by `RobustPMB`.
 
-    A step costs those of both filters. The smoother has one motion; targets that maneuver need one with more noise.
+    A step costs those of both filters. The smoother has one motion; targets that maneuver need one with more noise, or
+    `maneuver` and `agility`.
 
     Args:
         guide: The adaptive filter; births, survival and where the estimates start are the smoother's too.
         motion: Motion and measurement model of the smoother; None: the guide's model.
         lag: Smoothing lag L, scans; see `TrajectoryPMB`.
         least_length: Identities that have ended and existed for fewer scans are withheld; see `TrajectoryPMB`.
+        maneuver: Probability of a maneuver of the smoother's motion in one period; see `TrajectoryPMB`.
+        agility: Factor on its process noise in a maneuver; see `TrajectoryPMB`.
 
     Raises:
         ValueError: An argument is out of range.
@@ -67,6 +70,8 @@ class RobustTrajectoryPMB:
     motion: TargetModel | None = None
     lag: int = 5
     least_length: int = 2
+    maneuver: float = 0.0
+    agility: float = 10.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.guide, RobustPMB):
@@ -99,6 +104,8 @@ class RobustTrajectoryPMB:
             undetected=guide.undetected,
             lag=self.lag,
             least_length=self.least_length,
+            maneuver=self.maneuver,
+            agility=self.agility,
         )
 
     def initial(self, measurement: ArrayLike, sensor: Sensor | None = None) -> RobustTrajectoryPMBState:

@@ -66,14 +66,15 @@ def denser_left(z: np.ndarray) -> np.ndarray:
     return np.where(z[:, 0] < 0.0, 1.5, 0.5)
 
 
-def test_clutter_that_is_denser_in_some_places_keeps_its_shape() -> None:
+def test_maneuvers_and_the_shape_of_clutter_are_those_of_the_trajectory_filter() -> None:
     fixed = guide(adaptation=None, clutter_density=denser_left)
-    smoother = RobustTrajectoryPMB(fixed, lag=4)
 
     def clutter(z: np.ndarray) -> np.ndarray:
         return 5.0 / VOLUME * denser_left(z)
 
-    plain = TrajectoryPMB(HMM, fixed.birth, clutter_intensity=clutter, detection=0.9, lag=4)
+    more = {"maneuver": 0.1, "agility": 4.0, "lag": 4}
+    smoother = RobustTrajectoryPMB(fixed, **more)
+    plain = TrajectoryPMB(HMM, fixed.birth, clutter_intensity=clutter, detection=0.9, **more)
     data = scans(0)
     one, two = smoother.initial(data[0]), plain.initial(data[0])
     for z in data:
