@@ -68,6 +68,12 @@ def test_semicolons_and_tabs_separate_cells_and_decimals_have_commas(tmp_path: P
     assert points.scans[0].tolist() == [[0.0, 0.0], [5.0, 5.0]] and points.scans[4].tolist() == [[-1.5, 22.5]]
 
 
+@pytest.mark.parametrize("name", ["timestamp", "DateTime", "BaseDateTime"])
+def test_dates_have_columns_of_several_names(tmp_path: Path, name: str) -> None:
+    points = read_points(written(tmp_path, f"{name},x,y\n2024-07-01 00:00:00,1,2\n2024-07-01T00:00:10Z,1,2\n"))
+    assert points.dated and points.times[1] - points.times[0] == 10.0
+
+
 def test_a_row_whose_cells_say_that_nothing_is_known_is_a_scan_without_detections(tmp_path: Path) -> None:
     points = read_points(written(tmp_path, "time,x,y\n0,1,2\n1,nan,NaN\n2,NA,null\n3,1,2\n"))
     assert [len(scan) for scan in points.scans] == [1, 0, 0, 1]

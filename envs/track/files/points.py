@@ -41,7 +41,7 @@ _LARGEST_CONDITION = 1e12
 """Ratio of the eigenvalues of a covariance above which rounding decides whether it is definite."""
 _HIGHEST_LATITUDE = 85.0
 """Latitude beyond which a plane with an axis to the east is of no use, deg."""
-_TIMES = ("time", "timestamp", "basedatetime", "t")
+_TIMES = ("time", "timestamp", "basedatetime", "datetime", "t")
 _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "lng")
 _IDENTITIES = ("id", "label", "track", "target", "mmsi")
 _SENSORS = ("sensor", "sensor_id", "radar", "camera")
@@ -137,8 +137,8 @@ def is_points_file(source: str) -> bool:
 def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScans:
     """Read points in time from a CSV file with a header.
 
-    Columns, in any order and case: `time` (or timestamp, BaseDateTime; seconds, or dates in ISO 8601) and `x`,
-    `y`[, `z`] in m, or `lat` and `lon` in degrees. Optional: the position's covariance as `cov_xx`, `cov_xy`,
+    Columns, in any order and case: `time` (or timestamp, datetime, BaseDateTime; seconds, or dates in ISO 8601) and
+    `x`, `y`[, `z`] in m, or `lat` and `lon` in degrees. Optional: the position's covariance as `cov_xx`, `cov_xy`,
     `cov_yy`[, `cov_xz`, `cov_yz`, `cov_zz`] in m^2, all of them, an identity (`id`, `label`, `mmsi`), and a sensor
     (`sensor`, `radar`, `camera`), which is only counted. Further columns are ignored. Rows are sorted by time.
     Those of one time are one scan; a row without position (empty cells, or nan) stands for a scan without
