@@ -117,10 +117,15 @@ def _projection_notes(points: PointScans) -> list[str]:
 
 
 def _row_notes(points: PointScans) -> list[str]:
-    """Return notes where rows were sorted, or left out because they repeat others."""
+    """Return notes where rows were sorted, left out because they repeat others, or of several sensors at one time."""
     notes = []
     if points.unsorted:
         notes.append(f"the rows were sorted by time: {points.unsorted} of them were before the row above")
+    if points.shared:
+        notes.append(
+            f"{points.shared} times have points of several sensors, and a target that two of them see at one time "
+            "becomes two tracks; give each sensor's rows a time of their own, such as 0.001 of the time step later"
+        )
     if points.repeated:
         notes.append(
             f"{points.repeated} rows repeat another one of the same time and were left out; if two targets may have "

@@ -227,12 +227,12 @@ class GaussianSetFilter(ABC, Generic[StateT]):
         interval = checked_interval(dt)
         return self._variant(interval, lambda: self._over(interval))
 
-    def stating(self, detection: Array, clutter_intensity: Array) -> Self:
+    def stating(self, detection: Array, clutter_intensity: Array | Callable[[Array], Array]) -> Self:
         """The same filter with a detection probability and a clutter intensity for each run, for `step_as`.
 
         Args:
             detection: Shape (B,), in [0, 1].
-            clutter_intensity: Shape (B,), >= 0.
+            clutter_intensity: Shape (B,), >= 0; or a function of the measurements of all runs, in their order.
         """
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__)

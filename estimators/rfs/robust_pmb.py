@@ -8,6 +8,7 @@ the truth.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from servotrack.estimators.rfs.mixture import Mixture, empty_mixture, scratch_mi
 from servotrack.estimators.rfs.pmb import PMBState
 from servotrack.estimators.rfs.pmb_kernel import Prediction, Tally, empty_tally, predict_adaptive, update_pmb
 from servotrack.estimators.rfs.poisson_tracks import PoissonTrackFilter
-from servotrack.estimators.rfs.recursion import check_positive_definite
+from servotrack.estimators.rfs.recursion import check_positive_definite, checked_values
 from servotrack.estimators.rfs.reduction import Reduction
 from servotrack.estimators.rfs.sensors import Sensor
 from servotrack.estimators.rfs.sets import Extraction, Scan, empty_extraction
@@ -67,6 +68,8 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         undetected: Largest number of components of the intensity of undetected targets; see `PMB`.
         volume: Volume of the sensor's field of view in measurement space, over which clutter is uniform, so that
             `clutter_intensity * volume` is the expected number of false measurements of a scan.
+        clutter_density: Density of clutter relative to its mean over the volume, a function of measurements (Z, m)
+            that returns (Z,); None: uniform. The rate is estimated, this shape is kept.
         modes: Motion modes of detected targets; None: `model` alone.
         adaptation: Parameters of the online estimate; None keeps `detection`, `clutter_intensity` and births as
             they are.
@@ -78,6 +81,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
     """
 
     volume: float = field(kw_only=True)
+    clutter_density: Callable[[Array], Array] | None = field(default=None, kw_only=True)
     modes: InteractingModels | None = field(default=None, kw_only=True)
     adaptation: SensorAdaptation | None = field(default_factory=SensorAdaptation, kw_only=True)
     learning: bool = field(default=True, kw_only=True)
@@ -88,6 +92,8 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
         for name in ("detection", "clutter_intensity"):
             if callable(getattr(self, name)):
                 raise ValueError(f"{name} must be a number in an adaptive filter, got a function; use PMB")
+        if self.clutter_density is not None and not callable(self.clutter_density):
+            raise ValueError(f"clutter_density must be a function or None, got {self.clutter_density!r}")
         checked_number("volume", self.volume, SMALLEST_NUMBER, LARGEST_NUMBER, "finite and > 0")
         if self.adaptation is not None and not isinstance(self.adaptation, SensorAdaptation):
             raise ValueError(f"adaptation must be a SensorAdaptation or None, got {type(self.adaptation).__name__}")
@@ -106,6 +112,7 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
                     "sensor, got None"
                 )
             changes["learning"] = False
+        changes["clutter_density"] = None
         return changes if self.modes is None else {**changes, "modes": self.modes.at(None, sensor)}
 
     def _interval_changes(self, dt: float) -> dict[str, Any]:
@@ -151,6 +158,8 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             detection = self.adaptation.detection(state.sensor)
             intensity = self.adaptation.clutter_rate(state.sensor) / self.volume
             scan = scan._replace(clutter=np.repeat(intensity[:, None], scan.clutter.shape[1], axis=1))
+        if self.clutter_density is not None:
+            scan = scan._replace(clutter=scan.clutter * self.relative_clutter(scan.measurements, scan.number))
         births = self.adapted_births(births, state.sensor)
         prediction = self._predict_modes(state, births, detection)
         new, tally = self._fitted(
@@ -166,6 +175,15 @@ class RobustPMB(PoissonTrackFilter[RobustPMBState]):
             new = new._replace(sensor=sensor)
         expected = extraction.expected + new.undetected.weight.sum(axis=1)
         return new, extraction._replace(expected=expected), tally.unexplained
+
+    def relative_clutter(self, measurements: Array, number: Labels) -> Array:
+        """Values of `clutter_density` at the first `number` of the measurements (B, Z, m), else 1. Shape (B, Z)."""
+        relative = np.ones(measurements.shape[:2])
+        if self.clutter_density is not None:
+            used = np.arange(measurements.shape[1]) < number[:, None]
+            values = self.clutter_density(measurements[used])
+            relative[used] = checked_values("clutter_density", values, int(used.sum()), np.inf)
+        return relative
 
     def adapted_births(self, births: BirthMixture, sensor: SensorState) -> BirthMixture:
         """Births with the estimated rate of those at measurements.

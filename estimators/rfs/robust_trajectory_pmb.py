@@ -7,8 +7,9 @@ tracks are their own, so that the smoother's histories need no motion modes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +19,10 @@ from servotrack.estimators.rfs.birth import BirthMixture
 from servotrack.estimators.rfs.models import TargetModel
 from servotrack.estimators.rfs.robust_pmb import RobustPMB, RobustPMBState
 from servotrack.estimators.rfs.sensors import Sensor
-from servotrack.estimators.rfs.sets import SetEstimate
+from servotrack.estimators.rfs.sets import SetEstimate, read_measurements
 from servotrack.estimators.rfs.trajectory_pmb import TrajectoryPMB, TrajectoryPMBState
 from servotrack.estimators.stateful import add_axis
-from servotrack.estimators.types import Labels
+from servotrack.estimators.types import Array, Labels
 
 
 class RobustTrajectoryPMBState(NamedTuple):
@@ -41,17 +42,25 @@ class RobustTrajectoryPMBState(NamedTuple):
         return self.smoother.next_label
 
 
+def _clutter_at(density: Callable[[Array], Array], intensity: float | Array, z: Array) -> Array:
+    """Clutter intensity at measurements (Z, m) of a mean intensity and a relative density. Shape (Z,)."""
+    return np.asarray(intensity * density(z), dtype=np.float64)
+
+
 @dataclass(frozen=True, eq=False)
 class RobustTrajectoryPMB:
     """`TrajectoryPMB` whose detection probability, clutter and births at measurements are estimated by `RobustPMB`.
 
-    A step costs those of both filters. The smoother has one motion; targets that maneuver need one with more noise.
+    A step costs those of both filters. The smoother has one motion; targets that maneuver need one with more noise, or
+    `maneuver` and `agility`.
 
     Args:
         guide: The adaptive filter; births, survival and where the estimates start are the smoother's too.
         motion: Motion and measurement model of the smoother; None: the guide's model.
         lag: Smoothing lag L, scans; see `TrajectoryPMB`.
         least_length: Identities that have ended and existed for fewer scans are withheld; see `TrajectoryPMB`.
+        maneuver: Probability of a maneuver of the smoother's motion in one period; see `TrajectoryPMB`.
+        agility: Factor on its process noise in a maneuver; see `TrajectoryPMB`.
 
     Raises:
         ValueError: An argument is out of range.
@@ -61,6 +70,8 @@ class RobustTrajectoryPMB:
     motion: TargetModel | None = None
     lag: int = 5
     least_length: int = 2
+    maneuver: float = 0.0
+    agility: float = 10.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.guide, RobustPMB):
@@ -75,11 +86,13 @@ class RobustTrajectoryPMB:
     @cached_property
     def smoother(self) -> TrajectoryPMB:
         """The filter that reports."""
-        guide = self.guide
+        guide, clutter = self.guide, self.guide.clutter_intensity
+        if guide.clutter_density is not None:
+            clutter = partial(_clutter_at, guide.clutter_density, float(np.asarray(clutter)))
         return TrajectoryPMB(
             self.model,
             guide.birth,
-            clutter_intensity=guide.clutter_intensity,
+            clutter_intensity=clutter,
             survival=guide.survival,
             detection=guide.detection,
             spawn=guide.spawn,
@@ -91,6 +104,8 @@ class RobustTrajectoryPMB:
             undetected=guide.undetected,
             lag=self.lag,
             least_length=self.least_length,
+            maneuver=self.maneuver,
+            agility=self.agility,
         )
 
     def initial(self, measurement: ArrayLike, sensor: Sensor | None = None) -> RobustTrajectoryPMBState:
@@ -121,7 +136,11 @@ class RobustTrajectoryPMB:
         known = guide.sensor if np.ndim(guide.next_label) else add_axis(guide.sensor)
         if sensor is None:
             intensity = adaptation.clutter_rate(known) / self.guide.volume
-            now = now.stating(adaptation.detection(known), intensity)
+            clutter: Array | Callable[[Array], Array] = intensity
+            if self.guide.clutter_density is not None:
+                _, number, _ = read_measurements(measurement, self.guide._sizes[1])
+                clutter = partial(_clutter_at, self.guide.clutter_density, np.repeat(intensity, number))
+            now = now.stating(adaptation.detection(known), clutter)
 
         def adapted(births: BirthMixture) -> BirthMixture:
             return self.guide.adapted_births(births, known)

@@ -173,7 +173,7 @@ def read_measurements(measurement: ArrayLike, m: int) -> tuple[Array, Labels, bo
     values = np.where(used[:, :, None], z[:, :, 1:], 0.0)
     check_within("measurements", values, LIMITS.coordinates, "set their existence to 0")
     order = np.argsort(~used, axis=1, kind="stable")
-    return np.take_along_axis(values, order[:, :, None], axis=1), used.sum(axis=1), False
+    return _rows(values, order), used.sum(axis=1), False
 
 
 def check_runs(next_label: Labels, runs: int, single: bool) -> None:
@@ -315,11 +315,17 @@ def _front(mask: Mask) -> tuple[Labels, Mask]:
     """Indices that move the marked rows of each run to the front, and the mask of used rows after trimming."""
     most = int(mask.sum(axis=1).max(initial=0))
     order = np.argsort(~mask, axis=1, kind="stable")[:, :most]
-    return order, np.take_along_axis(mask, order, axis=1)
+    return order, _rows(mask, order)
 
 
 def _take(array: NDArray, order: Labels, used: Mask) -> NDArray:  # type: ignore[type-arg]
     """Take the rows of each run in the given order, zero where unused."""
-    extra = (1,) * (array.ndim - 2)
-    taken = np.take_along_axis(array, order.reshape(*order.shape, *extra), axis=1)
-    return np.where(used.reshape(*used.shape, *extra), taken, np.zeros((), array.dtype))
+    taken = _rows(array, order)
+    taken[~used] = 0
+    return taken
+
+
+def _rows(array: NDArray, order: Labels) -> NDArray:  # type: ignore[type-arg]
+    """Rows of each run in the given order. `take_along_axis` would look up every number on its own."""
+    rows: NDArray = array[np.arange(len(order))[:, None], order]  # type: ignore[type-arg]
+    return rows

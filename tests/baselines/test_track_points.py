@@ -17,6 +17,7 @@ from servotrack.envs.track.files.points import GeographicOrigin, PointScans, rea
 from servotrack.envs.track.files.recorded import SequenceError
 from servotrack.envs.track.points.measured_model import measured_model
 from servotrack.envs.track.points.point_model import clutter_intensity, track_points
+from servotrack.envs.track.points.rounding import rounding_noise
 
 GOOD = "time,x,y\n0,0,0\n0,5,5\n1,1,0\n2,,\n3,3,0\n"
 
@@ -67,6 +68,12 @@ def test_semicolons_and_tabs_separate_cells_and_decimals_have_commas(tmp_path: P
     assert points.scans[0].tolist() == [[0.0, 0.0], [5.0, 5.0]] and points.scans[4].tolist() == [[-1.5, 22.5]]
 
 
+@pytest.mark.parametrize("name", ["timestamp", "DateTime", "BaseDateTime"])
+def test_dates_have_columns_of_several_names(tmp_path: Path, name: str) -> None:
+    points = read_points(written(tmp_path, f"{name},x,y\n2024-07-01 00:00:00,1,2\n2024-07-01T00:00:10Z,1,2\n"))
+    assert points.dated and points.times[1] - points.times[0] == 10.0
+
+
 def test_a_row_whose_cells_say_that_nothing_is_known_is_a_scan_without_detections(tmp_path: Path) -> None:
     points = read_points(written(tmp_path, "time,x,y\n0,1,2\n1,nan,NaN\n2,NA,null\n3,1,2\n"))
     assert [len(scan) for scan in points.scans] == [1, 0, 0, 1]
@@ -114,7 +121,7 @@ def test_dates_and_degrees(tmp_path: Path) -> None:
         ("time,lat,lon\n0,91,0\n1,1,1\n", "row 2 must have a latitude"),
         ("time,lat,lon\n0,89,0\n1,1,1\n", "row 2: latitude must be at most 85 in magnitude, got 89"),
         ("time,x,y\n0,1e10,2\n1,1,2\n", "row 2: x must be at most 1e.09 in magnitude, got '1e10'"),
-        ("time,x,y\n1e12,1,2\n", "row 2: time must be at most 1e.10 s from 0 or from 1970"),
+        ("time,x,y\n1719827000123,1,2\n", "row 2: time must be at most 1e.10 s .*milliseconds divided by 1000"),
         ("time,x,y\n9999-12-31,1,2\n", "row 2: time must be at most 1e.10 s"),
         (
             "time,x,y\n" + "".join(f"0,1,{k}\n" for k in range(5001)) + "1,1,1\n",
@@ -459,3 +466,53 @@ def test_targets_that_come_late_are_measured_where_they_are() -> None:
     model, notes = measured_model(points)
     assert not notes and model.measurement_noise == pytest.approx(2.0, rel=0.25)
     assert len(track_points(points, model)) == 4
+
+
+@pytest.mark.parametrize("step", [5.0, 1e-4])
+def test_rounded_coordinates_are_no_exact_ones(tmp_path: Path, step: float) -> None:
+    # Slow targets whose rounded coordinates repeat, in meters and in degrees.
+    rng = np.random.default_rng(42)
+    scale = 1.0 if step > 1.0 else 1.0 / 111_195.0
+    start, velocity = rng.uniform(-400.0, 400.0, (4, 2)), rng.normal(0.0, 1.5, (4, 2))
+    rows = ["time,x,y" if step > 1.0 else "time,lat,lon"]
+    for k in range(60):
+        places = np.round((start + velocity * k + rng.normal(0.0, 0.5, (4, 2))) * scale / step) * step
+        rows += [f"{k},{x:.4f},{y:.4f}" for x, y in places[rng.random(4) < 0.9]]
+    points = read_points(written(tmp_path, "\n".join(rows)))
+    model, notes = measured_model(points)
+    side = step / scale
+    assert not notes and model.measurement_noise is not None
+    assert 0.9 * side / np.sqrt(12.0) < model.measurement_noise < 0.6 * side
+    assert len(track_points(points, model)) == 4
+
+
+def test_rounding_shows_in_differences_only() -> None:
+    rng = np.random.default_rng(1)
+    smooth = np.cumsum(rng.normal(0.0, 3.0, (200, 3, 2)), axis=1)
+    assert rounding_noise(smooth) == rounding_noise(smooth[:0]) == 0.0
+    assert rounding_noise(np.round(smooth)) == pytest.approx(1.0 / np.sqrt(12.0))
+    assert rounding_noise(np.round(smooth / [0.5, 2.0]) * [0.5, 2.0]) == pytest.approx(np.sqrt(4.25 / 24.0))
+    # Targets that rest on a grid, or move at whole speeds, are not rounded.
+    grid = rng.integers(0, 9, (200, 1, 2)) * 100.0
+    assert rounding_noise(np.repeat(grid, 3, axis=1)) == 0.0
+    assert rounding_noise(grid + np.arange(3.0)[:, None] * rng.integers(1, 5, (200, 1, 2))) == 0.0
+
+
+def test_position_noise_that_the_motion_hides_is_noted() -> None:
+    # Animals with a fix per hour: what they move between two is far more than a fix is wrong.
+    rng, hour = np.random.default_rng(6), 3600.0
+    motion = np.linalg.cholesky([[hour**3 / 3.0, hour**2 / 2.0], [hour**2 / 2.0, hour]])
+    moved = 0.002 * np.einsum("ij,...j->...i", motion, rng.standard_normal((80, 3, 2, 2)))
+    velocity = np.cumsum(moved[..., 1], axis=0)
+    places = np.cumsum(moved[1:, ..., 0] + hour * velocity[:-1], axis=0) + 30e3 * np.arange(3)[:, None]
+    scans = list(places + rng.normal(0.0, 15.0, places.shape))
+    points = PointScans(hour * np.arange(79.0), scans, None, None, None, False)
+    assert any("tell position noise from process noise poorly" in note for note in measured_model(points)[1])
+
+
+def test_sensors_that_share_a_time_are_noted(tmp_path: Path) -> None:
+    rows = [f"{k},{name},{k + offset},0" for k in range(6) for name, offset in (("a", 0.0), ("b", 0.1))]
+    source = written(tmp_path, "\n".join(["time,sensor,x,y", *rows, "6,a,6,0"]))
+    assert read_points(source).shared == 6
+    result = CliRunner().invoke(app, ["track", str(source), "--out", str(tmp_path / "out")])
+    assert "6 times have points of several sensors" in " ".join(result.output.split())

@@ -177,6 +177,25 @@ def test_agents_are_set_from_points_of_every_kind(tmp_path: Path, text: str) -> 
         assert row["count_right"] > 0.9, name
 
 
+def test_adaptive_agents_use_measured_maneuvers_and_the_map_of_clutter(tmp_path: Path) -> None:
+    # Four targets that stop and go, and false points that come from one place.
+    generator = np.random.default_rng(43)
+    moves = (np.arange(90) // 15 % 2 == 0)[:, None, None] * generator.normal(0.0, 6.0, (4, 2))
+    places = generator.uniform(-400.0, 400.0, (4, 2)) + np.cumsum(moves, axis=0)
+    lines, truth = ["time,x,y"], ["time,id,x,y"]
+    for k in range(90):
+        seen = places[k][generator.random(4) < 0.9]
+        false = np.array([450.0, 450.0]) + 20.0 * generator.standard_normal((generator.poisson(5), 2))
+        lines += [f"{k},{x},{y}" for x, y in [*(seen + generator.normal(0.0, 1.0, seen.shape)), *false]]
+        truth += [f"{k},{name},{x},{y}" for name, (x, y) in zip("abcd", places[k], strict=True)]
+    (tmp_path / "points.csv").write_text("\n".join(lines))
+    (tmp_path / "truth.csv").write_text("\n".join(truth))
+    files = {"source": str(tmp_path / "points.csv"), "truth": str(tmp_path / "truth.csv")}
+    for name, lag in (("robust-pmb", 0), ("robust-trajectory-pmb", 10)):
+        row = evaluate(ENV_ID, name, [0], {**files, "cutoff": 10.0, "lag": lag}, timing=False).rows[0]
+        assert row["count_right"] > 0.85 and row["ospa2"] < 5.0, (name, row)
+
+
 def test_the_identities_of_the_source_can_be_the_truth(tmp_path: Path) -> None:
     path = tmp_path / "ais.csv"
     rows = [f"{k},{name},{10 * k + 100 * (name == 'b')},{5 * k}" for k in range(6) for name in ("a", "b", "")]

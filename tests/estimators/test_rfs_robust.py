@@ -246,6 +246,26 @@ def test_one_mode_gives_the_bits_of_pmb_and_equal_modes_its_values(level):
             np.testing.assert_allclose(getattr(a, name), getattr(c, name), rtol=1e-9, atol=1e-9)
 
 
+def denser_left(z):
+    return np.where(z[:, 0] < 0.0, 1.5, 0.5)
+
+
+def test_clutter_that_is_denser_in_some_places_keeps_its_shape():
+    hint, episode = scene(0)
+    options = {"detection": hint.detection_probability}
+    mean = hint.clutter_intensity
+    plain = Stateful(PMB(hint.model, births_of(hint), clutter_intensity=lambda z: mean * denser_left(z), **options))
+    fixed = {"volume": AREA, "clutter_intensity": mean, "clutter_density": denser_left, **options}
+    kept = Stateful(RobustPMB(hint.model, births_of(hint), adaptation=None, **fixed))
+    for rows in episode.measurements[:30]:
+        assert np.array_equal(kept.step(used(rows)).states, plain.step(used(rows)).states)
+    # The density has a mean of 1, so that the rate means what it meant.
+    one = Stateful(RobustPMB(hint.model, births_of(hint), **fixed))
+    for rows in episode.measurements:
+        one.step(used(rows))
+    assert float(one.state.sensor.clutter_rate) == pytest.approx(hint.clutter_rate, rel=0.15)
+
+
 def reference_imm(models, switching, probability, mean, cov, scans):
     """Blom and Bar-Shalom 1988, one target that is always detected: mode probabilities, mean and covariance."""
     S = len(models)
@@ -367,6 +387,10 @@ def test_maneuvers_are_followed():
         (lambda: SensorAdaptation(detection_limits=(0.5, 1.0)), "detection_limits must be ascending"),
         (lambda: SensorAdaptation(birth_limits=(1.0, 0.5)), "birth_limits must be ascending"),
         (lambda: RobustPMB(HMM, SITES, clutter_intensity=1e-6, volume=0.0), "volume must be finite and > 0"),
+        (
+            lambda: RobustPMB(HMM, SITES, clutter_intensity=1e-6, volume=1.0, clutter_density=2.0),
+            "clutter_density must be a function or None, got 2.0",
+        ),
         (
             lambda: RobustPMB(HMM, SITES, clutter_intensity=lambda z: z[:, 0], volume=1.0),
             "clutter_intensity must be a number",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -61,9 +62,32 @@ def test_without_adaptation_it_is_the_trajectory_filter() -> None:
         assert_equal(first, second)
 
 
+def denser_left(z: np.ndarray) -> np.ndarray:
+    return np.where(z[:, 0] < 0.0, 1.5, 0.5)
+
+
+def test_maneuvers_and_the_shape_of_clutter_are_those_of_the_trajectory_filter() -> None:
+    fixed = guide(adaptation=None, clutter_density=denser_left)
+
+    def clutter(z: np.ndarray) -> np.ndarray:
+        return 5.0 / VOLUME * denser_left(z)
+
+    more = {"maneuver": 0.1, "agility": 4.0, "lag": 4}
+    smoother = RobustTrajectoryPMB(fixed, **more)
+    plain = TrajectoryPMB(HMM, fixed.birth, clutter_intensity=clutter, detection=0.9, **more)
+    data = scans(0)
+    one, two = smoother.initial(data[0]), plain.initial(data[0])
+    for z in data:
+        (one, first), (two, second) = smoother.step(one, z), plain.step(two, z)
+        assert_equal(first, second)
+    pickle.loads(pickle.dumps(smoother))
+
+
+@pytest.mark.parametrize("density", [None, denser_left])
 @pytest.mark.parametrize("model", [HMM, pairwise_structure(constant_velocity(5.0, 1.5))])
-def test_runs_of_a_batch_are_those_of_single_ones(model: Any) -> None:
-    smoother = RobustTrajectoryPMB(guide(model, modes=maneuvers(model)), maneuvers(model, agility=1.5).models[1], lag=3)
+def test_runs_of_a_batch_are_those_of_single_ones(model: Any, density: Any) -> None:
+    own = guide(model, modes=maneuvers(model), clutter_density=density)
+    smoother = RobustTrajectoryPMB(own, maneuvers(model, agility=1.5).models[1], lag=3)
     runs = [scans(1, 20), scans(2, 20, detection=0.95)]
     rows = max(len(z) for run in runs for z in run)
     batch = np.zeros((20, 2, rows, 3))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from servotrack.envs.track.clutter.scene_model import SceneModel
+from servotrack.envs.track.clutter.scene_model import Model, SceneModel
 from servotrack.estimators.rfs import (
     GMCPHD,
     GMPHD,
@@ -18,6 +19,7 @@ from servotrack.estimators.rfs import (
     Births,
     GlobalNearestNeighbor,
     GMCBMeMBer,
+    InteractingModels,
     MeasurementBirth,
     ParticlePHD,
     RawMeasurements,
@@ -30,6 +32,7 @@ from servotrack.estimators.rfs import (
 )
 from servotrack.estimators.rfs.extraction import Rule
 from servotrack.estimators.rfs.steered import CountingPHD, SteadyPHD, SteeredPHD
+from servotrack.estimators.types import Array
 
 GaussianT = TypeVar("GaussianT", GMPHD, GMCBMeMBer, PMB, PMBM, TrajectoryPMB)
 
@@ -143,15 +146,27 @@ def _robust(scene: SceneModel, settings: FilterSettings) -> RobustPMB:
         birth,
         clutter_intensity=scene.clutter_intensity,
         volume=float(np.prod(scene.seen_high - scene.seen_low)),
+        clutter_density=scene.clutter_map and partial(_relative_clutter, scene.clutter_map, scene.clutter_intensity),
         survival=RegionSurvival(model, scene.survival_probability, scene.region_low, scene.region_high),
         detection=scene.detection_probability,
-        # The ready modes are those of the plane.
         spawn=scene.spawn,
-        modes=maneuvers(model, turn_rate=min(TURN_RATE, MOST_TURN / model.period))
-        if len(scene.region_low) == 2
-        else None,
+        modes=_modes(scene, model),
         extraction=settings.extraction,
     )
+
+
+def _modes(scene: SceneModel, model: Model) -> InteractingModels | None:
+    """Motion modes in the plane: measured maneuvers, else turns at a usual rate; None in space."""
+    if len(scene.region_low) != 2:
+        return None
+    if scene.maneuver > 0.0:
+        # A measured maneuver lasts one scan.
+        return maneuvers(model, agility=scene.agility, turn_rate=0.0, straight=1.0 / scene.maneuver, turning=1.0)
+    return maneuvers(model, turn_rate=min(TURN_RATE, MOST_TURN / model.period))
+
+
+def _relative_clutter(intensity: Callable[[Array], Array], mean: float, z: Array) -> Array:
+    return np.asarray(intensity(z) / mean)
 
 
 def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
@@ -162,6 +177,8 @@ def _trajectories(scene: SceneModel, settings: FilterSettings) -> TrajectoryPMB:
 
 def _robust_trajectories(scene: SceneModel, settings: FilterSettings) -> RobustTrajectoryPMB:
     guide, model = _robust(scene, settings), scene.hidden_markov if settings.hidden_markov else scene.model
+    if scene.maneuver > 0.0:
+        return RobustTrajectoryPMB(guide, lag=scene.lag, maneuver=scene.maneuver, agility=scene.agility)
     motion = None if guide.modes is None else maneuvers(model, agility=SMOOTHED_AGILITY).models[1]
     return RobustTrajectoryPMB(guide, motion, lag=scene.lag)
 

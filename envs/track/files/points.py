@@ -41,9 +41,10 @@ _LARGEST_CONDITION = 1e12
 """Ratio of the eigenvalues of a covariance above which rounding decides whether it is definite."""
 _HIGHEST_LATITUDE = 85.0
 """Latitude beyond which a plane with an axis to the east is of no use, deg."""
-_TIMES = ("time", "timestamp", "basedatetime", "t")
+_TIMES = ("time", "timestamp", "basedatetime", "datetime", "t")
 _LATITUDES, _LONGITUDES = ("lat", "latitude"), ("lon", "longitude", "lng")
 _IDENTITIES = ("id", "label", "track", "target", "mmsi")
+_SENSORS = ("sensor", "sensor_id", "radar", "camera")
 _AXES = ("x", "y", "z")
 _MISSING = ("", "nan", "na", "n/a", "null", "none")
 """Cells that hold no number, in lower case."""
@@ -95,6 +96,7 @@ class PointScans(NamedTuple):
         dated: True if times are dates: then they are seconds since 1970, UTC.
         repeated: Number of rows that were left out because they repeat another one of the same time.
         unsorted: Number of rows of a time before that of the row above; all rows were sorted by time.
+        shared: Number of times with points of several sensors, by the column of sensors.
     """
 
     times: Array
@@ -105,6 +107,7 @@ class PointScans(NamedTuple):
     dated: bool
     repeated: int = 0
     unsorted: int = 0
+    shared: int = 0
 
     @property
     def dimensions(self) -> int:
@@ -134,13 +137,14 @@ def is_points_file(source: str) -> bool:
 def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScans:
     """Read points in time from a CSV file with a header.
 
-    Columns, in any order and case: `time` (or timestamp, BaseDateTime; seconds, or dates in ISO 8601) and `x`, `y`[,
-    `z`] in m, or `lat` and `lon` in degrees. Optional: the position's covariance as `cov_xx`, `cov_xy`, `cov_yy`[,
-    `cov_xz`, `cov_yz`, `cov_zz`] in m^2, all of them, and an identity (`id`, `label`, `mmsi`). Further columns are
-    ignored. Rows are sorted by time. Those of one time are one scan; a row without position (empty cells, or nan)
-    stands for a scan without detections. Of rows of one time with the same position and identity the first one is kept:
-    a receiver that stores a message twice has not seen two targets. Semicolons and tabs separate cells too; then a
-    number may have a decimal comma.
+    Columns, in any order and case: `time` (or timestamp, datetime, BaseDateTime; seconds, or dates in ISO 8601) and
+    `x`, `y`[, `z`] in m, or `lat` and `lon` in degrees. Optional: the position's covariance as `cov_xx`, `cov_xy`,
+    `cov_yy`[, `cov_xz`, `cov_yz`, `cov_zz`] in m^2, all of them, an identity (`id`, `label`, `mmsi`), and a sensor
+    (`sensor`, `radar`, `camera`), which is only counted. Further columns are ignored. Rows are sorted by time.
+    Those of one time are one scan; a row without position (empty cells, or nan) stands for a scan without
+    detections. Of rows of one time with the same position and identity the first one is kept: a receiver that
+    stores a message twice has not seen two targets. Semicolons and tabs separate cells too; then a number may have
+    a decimal comma.
 
     Args:
         path: The file, ending in .csv or .csv.gz.
@@ -160,8 +164,9 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
     columns = _Columns.of(path, head)
     d, names = len(columns.places), columns.covariance_names
     every, times, places, covariances = array("d"), array("d"), array("d"), array("d")
-    texts, numbers = array("q"), array("q")
+    texts, numbers, sensors = array("q"), array("q"), array("q")
     names_of: dict[str, int] = {}
+    sensors_of: dict[str, int] = {}
     dated: bool | None = None
     for number, row in rows:
         where = f"{path} row {number}"
@@ -186,6 +191,8 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         places.extend(place)
         texts.append(names_of.setdefault(text, len(names_of)))
         numbers.append(number)
+        if columns.sensor is not None:
+            sensors.append(sensors_of.setdefault(row[columns.sensor].strip(_BLANKS), len(sensors_of)))
         if names:
             covariances.extend(csv_number(row[at], head[at], where, LIMITS.coordinates**2) for at in columns.covariance)
     scan_times = np.unique(np.array(every))
@@ -220,7 +227,14 @@ def read_points(path: Path, origin: GeographicOrigin | None = None) -> PointScan
         bool(dated),
         len(positions) - len(kept),
         int((np.diff(np.array(every)) < 0.0).sum()),
+        _shared(scan[kept], np.array(sensors)[kept]) if sensors else 0,
     )
+
+
+def _shared(scan: Labels, sensors: Labels) -> int:
+    """Number of scans with points of several sensors."""
+    pairs = np.unique(np.column_stack([scan, sensors]), axis=0)
+    return int((np.bincount(pairs[:, 0]) > 1).sum())
 
 
 def _check_degrees(place: list[float], cells: list[str], where: str) -> None:
@@ -240,7 +254,7 @@ class _Columns(NamedTuple):
     """Places of the columns in a row.
 
     Attributes:
-        time, identity: Places of these columns; no identity: None.
+        time, identity, sensor: Places of these columns; no identity, no sensor: None.
         places: Places of x, y[, z], or of latitude and longitude.
         geographic: True for latitude and longitude.
         covariance: Places of the upper triangle of the covariance, row by row; empty without one.
@@ -249,6 +263,7 @@ class _Columns(NamedTuple):
 
     time: int
     identity: int | None
+    sensor: int | None
     places: list[int]
     geographic: bool
     covariance: list[int]
@@ -276,7 +291,8 @@ class _Columns(NamedTuple):
         given = [name for name in names if name in columns]
         if given and len(given) < len(names):
             raise SequenceError(f"{path} row 1 must name all of {', '.join(names)} or none, got {', '.join(given)}")
-        return cls(time, _first(columns, _IDENTITIES), places, geographic, [columns[name] for name in given], given)
+        identity, sensor = _first(columns, _IDENTITIES), _first(columns, _SENSORS)
+        return cls(time, identity, sensor, places, geographic, [columns[name] for name in given], given)
 
 
 def _covariances(path: Path, upper: Array, rows: Labels, d: int) -> Array:
@@ -458,7 +474,8 @@ def _time(cell: str, where: str) -> tuple[float, bool]:
         raise SequenceError(f"{where}: time must be finite, got {_short(text)}; leave the row out")
     if abs(value) > LIMITS.times:
         raise SequenceError(
-            f"{where}: time must be at most {LIMITS.times:g} s from 0 or from 1970, got {_short(text)}; give seconds"
+            f"{where}: time must be at most {LIMITS.times:g} s from 0 or from 1970, got {_short(text)}; give seconds, "
+            "milliseconds divided by 1000"
         )
     return value, is_date
 

@@ -19,8 +19,15 @@ from scipy.special import chdtri
 
 from servotrack.envs.track.files.points import PointScans
 from servotrack.envs.track.points.clutter_map import clutter_map, may_be_mapped
-from servotrack.envs.track.points.point_extent import check_scales, outlier_notes, period_of, region_of, side_of
+from servotrack.envs.track.points.point_extent import (
+    check_scales,
+    outlier_notes,
+    period_of,
+    region_of,
+    side_of,
+)
 from servotrack.envs.track.points.point_model import LEAST_NOISE, PointModel, Units, position_noise, tracked
+from servotrack.envs.track.points.rounding import rounding_noise
 from servotrack.estimators.compilation import njit
 from servotrack.estimators.rfs import Trajectory
 from servotrack.estimators.types import Array, Labels
@@ -44,6 +51,8 @@ _EQUAL = 1e-3
 """Difference of log-likelihoods that decides nothing."""
 _STRAY = 0.01
 """Probability that a measurement of a track belongs to another target."""
+_LEAST_RATIO, _MOST_RATIOS, _AS_LIKELY = 4.0, 4, 2.0
+"""Ratio of two position noises, how often it is tried, and the log-likelihood that tells them apart (95 %)."""
 _LEAST_LENGTH = 4
 """Measurements of a track from which it is used."""
 _MANEUVER, _AGILITIES, _MORE_AGILE = 0.05, (5.0, 20.0, 80.0), (1.0, 2.0, 4.0, 8.0, 16.0)
@@ -76,6 +85,7 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
         model = _mapped(few, guess, _refined(few, guess))
         if model is not None:
             model = _maneuvering(few, model)
+            notes = notes + _noise_notes(few, model, units.length)
             break
     else:
         model, notes = guesses[0]
@@ -84,6 +94,36 @@ def measured_model(points: PointScans) -> tuple[PointModel, list[str]]:
     # The tracker's region holds the points outside of the measured part, too.
     low, high = region_of(scaled)
     return units.model(model._replace(low=low, high=high), back=True), notes
+
+
+def _noise_notes(points: PointScans, model: PointModel, length: float) -> list[str]:
+    """Return a note if a much smaller or larger position noise explains the tracks as well with another motion.
+
+    Args:
+        points: The points.
+        model: Measured parameters.
+        length: Unit of length, m.
+    """
+    noise, own = model.measurement_noise, _own_measurements(points, model)
+    if noise is None or not own.long:
+        return []
+    least = _most_likely(points, model, own, held=True)[2] - _AS_LIKELY
+    limits = [noise, noise]
+    for end, ratio in enumerate((1.0 / _LEAST_RATIO, _LEAST_RATIO)):
+        for _ in range(_MOST_RATIOS):
+            trial = model._replace(measurement_noise=limits[end] * ratio)
+            if limits[end] * ratio < LEAST_NOISE * side_of(points):
+                break
+            if _most_likely(points, trial, own, held=True)[2] < least:
+                break
+            limits[end] *= ratio
+    if limits[0] == limits[1]:
+        return []
+    return [
+        f"the points tell position noise from process noise poorly: {limits[0] * length:.2g} to "
+        f"{limits[1] * length:.2g} m explain them as well as {noise * length:.3g} m; give a known accuracy in columns "
+        "cov_xx, cov_xy, cov_yy"
+    ]
 
 
 def _parts(points: PointScans) -> Iterator[PointScans]:
@@ -135,11 +175,11 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     count = sum(map(len, points.scans)) / len(points.scans)
     # Where each scan holds few of the targets, such as that of one ship, chains span several scans.
     searched = {window: _chains(points, low, high, window) for window in _WINDOWS if window < len(points.scans)}
-    chains = max(searched.values(), key=len)
+    chains, triples = max(searched.values(), key=lambda found: len(found[0]))
     notes = []
     if len(chains):
         bends, speeds, gaps = chains.T
-        noise = max(float(np.median(bends)) / 0.6745, 1e-6 * side)
+        noise = max(float(np.median(bends)) / 0.6745, rounding_noise(triples), 1e-6 * side)
         speed = _bounded_speed(points, float(np.sqrt(np.mean(speeds**2))))
     else:
         noise, speed, gaps = 1e-3 * side, 1e-2 * side / period, np.ones(1)
@@ -169,10 +209,12 @@ def _first_guess(points: PointScans) -> tuple[PointModel, list[str]]:
     )
 
 
-def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
-    """Chains of three: departure from a straight line, in measurement errors, speed, and scans per step. (k, 3).
+def _chains(points: PointScans, low: Array, high: Array, window: int) -> tuple[Array, Array]:
+    """Chains of three nearest neighbors.
 
-    A row for each coordinate of each chain.
+    Returns:
+        Departure from a straight line, in measurement errors, speed, and scans per step; a row for each coordinate of
+        each chain, shape (k d, 3). Positions, shape (k, 3, d).
     """
     d = points.dimensions
     size = [len(scan) for scan in points.scans]
@@ -192,18 +234,19 @@ def _chains(points: PointScans, low: Array, high: Array, window: int) -> Array:
                 continue
             distance, nearest = cKDTree(place[others]).query(place[own], distance_upper_bound=reach)
             link[own] = np.where(distance < reach, nearest + others.start, -1)
-    found = []
+    found, chained = [], []
     for i, j in enumerate(later):
         last = later[j] if j >= 0 else -1
         if last < 0 or before[j] != i or before[last] != j:
             continue
+        chained.append((i, j, last))
         first, second = time[j] - time[i], time[last] - time[j]
         ratio = second / first
         bend = (place[last] - place[j] - ratio * (place[j] - place[i])) / math.sqrt(1.0 + (1.0 + ratio) ** 2 + ratio**2)
         velocity = (place[last] - place[i]) / (first + second)
         gap = 0.5 * (scan[last] - scan[i])
         found += [(abs(a), v, gap) for a, v in zip(bend, velocity, strict=True)]
-    return np.array(found).reshape(-1, 3)
+    return np.array(found).reshape(-1, 3), place[np.array(chained, dtype=np.int64).reshape(-1, 3)]
 
 
 class _Own(NamedTuple):
@@ -223,6 +266,12 @@ class _Own(NamedTuple):
     def long(self) -> list[list[tuple[float, Array]]]:
         """Sequences that are long enough to be used."""
         return [one for one in self.sequences if len(one) >= _LEAST_LENGTH]
+
+    @property
+    def triples(self) -> Array:
+        """Positions of three measurements in a row of one track. Shape (k, 3, d)."""
+        places = [np.array([place for _, place in one]) for one in self.long]
+        return np.concatenate([np.stack([one[:-2], one[1:-1], one[2:]], axis=1) for one in places])
 
 
 def _own_measurements(points: PointScans, model: PointModel) -> _Own:
@@ -334,13 +383,22 @@ def _bounded_speed(points: PointScans, speed: float) -> float:
     return min(max(speed, least), most)
 
 
-def _most_likely(points: PointScans, model: PointModel, own: _Own) -> tuple[float, float, float]:
-    """Process and measurement noise of greatest likelihood, on a grid of factors that is refined twice, and its log."""
+def _most_likely(points: PointScans, model: PointModel, own: _Own, *, held: bool = False) -> tuple[float, float, float]:
+    """Process and measurement noise of greatest likelihood, on a grid of factors that is refined twice, and its log.
+
+    Args:
+        points: The points.
+        model: Start of the search.
+        own: The tracks' own measurements.
+        held: True keeps the measurement noise.
+    """
     arrays = _arrays(own)
     # The noise of a maneuver stays.
     most_noise = model.agility * model.process_noise
     best, most = np.log2([model.process_noise, position_noise(points, model)]), -np.inf
-    fixed = model.measurement_noise is None
+    fixed = held or model.measurement_noise is None
+    # Rounded coordinates repeat or lie on a line exactly, which is no sign of an exact sensor.
+    least = 0.0 if fixed else rounding_noise(own.triples)
     for width, step in ((6.0, 2.0), (2.0, 0.5), (0.5, 0.125)):
         factors = np.arange(-width, width + 0.5 * step, step)
         center, most = best, -np.inf
@@ -348,12 +406,12 @@ def _most_likely(points: PointScans, model: PointModel, own: _Own) -> tuple[floa
         for a in factors[::-1]:
             for b in (0.0,) if fixed else factors[::-1]:
                 trial = center + np.array([a, b])
-                process, noise = 2.0 ** trial[0], 2.0 ** trial[1]
+                process, noise = 2.0 ** trial[0], max(2.0 ** trial[1], least)
                 agility = max(most_noise / process, 1.0)
                 value = _log_likelihood(*arrays, process, noise, model.speed, model.maneuver, agility, model.period)
                 if value > most + _EQUAL:
                     best, most = trial, value
-    return float(2.0 ** best[0]), float(2.0 ** best[1]), most
+    return float(2.0 ** best[0]), max(float(2.0 ** best[1]), least), most
 
 
 def _likelihood(points: PointScans, model: PointModel, own: _Own) -> float:
