@@ -34,11 +34,13 @@ WIDTHS = 3.0
 INFORMED = "informed"
 
 
-def ladder_cells(env_id: str, folder: Path, episodes: int, split: str) -> list[CellResults]:
-    """Evaluate all agents at all levels of an id, as far as the folder lacks them."""
+def ladder_cells(
+    env_id: str, folder: Path, episodes: int, split: str, levels: Sequence[int] = LEVELS
+) -> list[CellResults]:
+    """Evaluate all agents at some levels of an id, as far as the folder lacks them."""
     with progress_bars() as progress:
         return run_suite(
-            suite_of(env_id, None, LEVELS), ResultsFolder(folder), episodes=episodes, split=split, jobs=1,
+            suite_of(env_id, None, levels), ResultsFolder(folder), episodes=episodes, split=split, jobs=1,
             progress=progress,
         )  # fmt: skip
 
@@ -138,6 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="scripts/servo-ladder", description=__doc__)
     parser.add_argument("--episodes", type=int, default=100, help="seeds of each level (default 100)")
     parser.add_argument("--split", default="tune", choices=("tune", "test"), help="seed range (default tune)")
+    parser.add_argument("--worlds", nargs="+", default=ENV_IDS, choices=ENV_IDS, help="ids (default both)")
+    parser.add_argument("--levels", nargs="+", type=int, default=LEVELS, choices=LEVELS, help="levels (default all)")
     parser.add_argument("--results", type=Path, default=Path("results/ladder"), help="folder of the episodes")
     parser.add_argument("--tables", nargs="+", type=Path, help="only the tables, from what these folders hold")
     parser.add_argument("--axes", action="store_true", help="only the table of axes that no level has")
@@ -150,12 +154,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
             show(axes_text(given.episodes, given.split), given.write, "servo-axes")
             return
         cells = []
-        for env_id in ENV_IDS:
+        for env_id in given.worlds:
             if given.tables is None:
-                cells += ladder_cells(env_id, given.results / env_id, given.episodes, given.split)
+                cells += ladder_cells(env_id, given.results / env_id, given.episodes, given.split, given.levels)
             for folder in given.tables or ():
-                cells += ResultsFolder(folder / env_id).load_all()
-        source = f"`scripts/servo-ladder --episodes {given.episodes} --split {given.split}`"
+                loaded = ResultsFolder(folder / env_id).load_all()
+                cells += [cell for cell in loaded if cell.env_kwargs.get("level", 0) in given.levels]
+        chosen = "".join(
+            f" --{name} {' '.join(map(str, values))}"
+            for name, values, whole in (("worlds", given.worlds, ENV_IDS), ("levels", given.levels, LEVELS))
+            if tuple(values) != whole
+        )
+        source = f"`scripts/servo-ladder{chosen} --episodes {given.episodes} --split {given.split}`"
         versions = ", ".join(sorted({f"servotrack {cell.provenance['versions']['servotrack']}" for cell in cells}))
         text = ladder_text(cells, given.episodes, f"{source}, episodes by {versions}")
         show(text, given.write, "servo-ladder")
