@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from joblib import delayed
 
 from servotrack.baselines.evaluation import seeds, statistics
-from servotrack.baselines.evaluation.bench import default_agents
+from servotrack.baselines.evaluation.bench import suite_of
 from servotrack.baselines.evaluation.evaluate import evaluate
 from servotrack.baselines.evaluation.results import CellResults
 from servotrack.baselines.running.workers import in_workers
@@ -50,12 +51,19 @@ TASKS = (
     Task("level 3", {"level": 3}, {}, {"kf": 0.93, "lifted-kf": 0.96, "oracle": 0.97}),
     Task("level 5", {"level": 5}, {}, {"lifted-kf": 0.93}),
 )
-HEAVY = Task("level 6", {"level": 6}, {}, {name: 0.0 for name in sorted({*default_agents(), INFORMED} - UNSKILLED)})
+
+
+@lru_cache(maxsize=1)
+def heavy_task() -> Task:
+    """Return level 6 with all agents of the default suite that can act there: learned ones trained at that level."""
+    setting = {"level": 6}
+    agents = {cell.agent for cell in suite_of(ENV_ID, None, (setting["level"],))}
+    return Task("level 6", setting, {}, {name: 0.0 for name in sorted({*agents, INFORMED} - UNSKILLED)})
 
 
 def cells() -> list[tuple[Task, str]]:
     """Return all pairs of a task and an agent that the tables need."""
-    return [(task, agent) for task in (*TASKS, HEAVY) for agent in task.agents]
+    return [(task, agent) for task in (*TASKS, heavy_task()) for agent in task.agents]
 
 
 def run(count: int, jobs: int, on_cell: Callable[[], None]) -> Cells:
@@ -100,9 +108,10 @@ def target_table(found: Cells) -> str:
 
 def gap_table(found: Cells) -> str:
     """Return steady errors at level 6 and their gaps to the informed agent, paired by seed, as a Markdown table."""
-    informed = found.get((HEAVY.name, INFORMED))
+    heavy = heavy_task()
+    informed = found.get((heavy.name, INFORMED))
     lines = ["| agent | mean steady error, mm | gap to the informed agent, mm | success |", "|---|---|---|---|"]
-    rows = [(agent, found[HEAVY.name, agent]) for agent in HEAVY.agents]
+    rows = [(agent, found[heavy.name, agent]) for agent in heavy.agents]
     for agent, cell in sorted(rows, key=lambda row: float(steady(row[1]).mean())):
         gap = "the informed agent did not run"
         if informed is not None:

@@ -80,10 +80,17 @@ def test_targets_are_computed_from_episodes() -> None:
     assert any("| lifted-kf |" in line and line.endswith("lower end at least 0.96 | yes |") for line in lines)
 
 
+def test_agents_of_level_6_are_those_that_were_trained_there() -> None:
+    agents = accuracy.heavy_task().agents
+    assert {"kf", "hybrid", accuracy.INFORMED} <= set(agents)
+    assert not {"curriculum", "random"} & set(agents)
+
+
 def test_gaps_are_paired_with_the_informed_agent() -> None:
+    heavy = accuracy.heavy_task()
     found = {
-        (accuracy.HEAVY.name, agent): _cell(agent, np.full(20, 0.001 if agent == accuracy.INFORMED else 0.004), 20)
-        for agent in accuracy.HEAVY.agents
+        (heavy.name, agent): _cell(agent, np.full(20, 0.001 if agent == accuracy.INFORMED else 0.004), 20)
+        for agent in heavy.agents
     }
     lines = accuracy.gap_table(found).splitlines()
     assert lines[2].startswith(f"| {accuracy.INFORMED} | 1.00 | 0.00 (0.00 to 0.00)")
